@@ -11,6 +11,9 @@ from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_models.cascade import StageModel
 
+HIGHEST_MODE = 30.0
+"""Highest frequency of a mode in a fit, relative to the highest measured one."""
+
 MOST_LOSS_RAD = 0.3
 """Largest lag of small sines due to hysteresis; a full loop whose width is a third of its travel
 has this angle."""
@@ -36,9 +39,14 @@ class MeasuredResponse:
         return float(FIT.model_tolerance * np.sqrt(np.mean(np.abs(self.weighted) ** 2)))
 
     @property
-    def highest_rad_per_s(self) -> float:
-        """Return the highest measured frequency."""
-        return float(2.0 * np.pi * self.frequency_hz[-1])
+    def sample_period_s(self) -> float:
+        """Return the longest period of samples that show the same frequencies."""
+        return float(0.5 / self.frequency_hz[-1])
+
+    @property
+    def highest_mode_rad_per_s(self) -> float:
+        """Return the highest frequency of a mode that the response may show by its flank."""
+        return float(HIGHEST_MODE * 2.0 * np.pi * self.frequency_hz[-1])
 
     @property
     def stretch(self) -> NDArray[np.intp]:

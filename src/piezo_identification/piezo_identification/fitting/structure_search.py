@@ -502,7 +502,7 @@ def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
 def _end_of_band_rad_per_s(problem: WholeModel) -> float:
     """Return the highest frequency that the recordings or a response show."""
     return max([_highest_rad_per_s(problem.sample_period_s),
-                *(each.highest_rad_per_s for each in problem.responses)])
+                *(each.highest_mode_rad_per_s for each in problem.responses)])
 
 
 def _highest_rad_per_s(sample_period_s: float) -> float:

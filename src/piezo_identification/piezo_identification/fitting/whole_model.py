@@ -189,13 +189,17 @@ class WholeModel:
         self.responses = tuple(responses)
         self.sample_period_s = min(
             *(part.sample_period_s for part in simulated),
-            *(np.pi / each.highest_rad_per_s for each in self.responses), np.inf)
+            *(each.sample_period_s for each in self.responses), np.inf)
         # Rows of means cannot be read at another time, and a response shows the delay of the stage.
         self.is_sampled = not responses and all(
             part.samples_per_mean == 1 for part in simulated)
         self._earliest_s = max(
             EARLIEST * self.sample_period_s, later_s) if self.is_sampled else 0.0
         self._dataset = dataset_of(simulated, recordings, lambda _, rows: np.zeros((rows.size, 0)))
+        extent = self._dataset.extent
+        self._dataset = replace(self._dataset, extent=replace(extent, sample_period_s=min([
+            extent.sample_period_s,
+            *(np.pi / each.highest_mode_rad_per_s for each in self.responses)])))
         self.noise = estimate_noise(self._dataset, model.effects)
         slow = slow_dynamics(model.dynamics, model.effects)
         good = ~self._dataset.at_rows(self.noise.outliers) & ~self._dataset.at_rows([

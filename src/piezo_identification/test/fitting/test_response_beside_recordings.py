@@ -12,6 +12,7 @@ from piezo_identification.estimators.frequency_response.response_search import R
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.whole_model import WholeModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 NOISE = 2e-3
@@ -97,3 +98,20 @@ def test_the_loss_of_hysteresis_at_small_signals_is_not_taken_for_creep():
     np.testing.assert_allclose(found.response(frequency_hz), plain, rtol=0.01)
     as_linear = estimate_from_response(measured).model
     assert np.abs(as_linear.response(frequency_hz) / plain - 1.0).max() > 0.03
+
+
+def test_parallel_modes_of_the_response_may_be_far_above_the_rate_of_the_rows(
+        plant, measured, slow):
+    mode = VibrationMode(9000.0, 0.02, 0.2)
+    s = 2j * np.pi * measured.frequency_hz
+    own, other = (1.0 / (1.0 + 2.0 * damping * s / frequency + (s / frequency) ** 2)
+                  for frequency, damping in ((4909.0, 0.082), (9000.0, 0.02)))
+    of_lag = factor(plant, s) / own * (1.0 + 2.0 * 0.685 * s / 2846.0 + (s / 2846.0) ** 2)
+    one_mode = replace(plant, dynamics=ElectricVibrationDynamics(0.00049, (4909.0,), (0.082,)))
+    both = replace(measured, gain=0.4 * of_lag * (0.8 * own + 0.2 * other))
+    model = replace(one_mode, effects=(replace(mode, frequency_rad_per_s=9010.0),))
+    problem = WholeModel(
+        model, [slow], [0.0], responses=[ResponseSearch(both).measured_response()])
+    found, = problem.fit(model, None, 8).model.effects
+    assert found.frequency_rad_per_s == pytest.approx(9000.0, rel=1e-4)
+    assert found.damping_ratio == pytest.approx(0.02, rel=1e-2)

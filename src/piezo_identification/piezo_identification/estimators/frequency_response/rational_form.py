@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.linalg import eigvals
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
-from piezo_identification.fitting.measured_response import MOST_LOSS_RAD
+from piezo_identification.fitting.measured_response import HIGHEST_MODE, MOST_LOSS_RAD
 
-BAND = (0.1, 30.0)
+BAND = (0.1, HIGHEST_MODE)
 """Range of poles and zeros, relative to the lowest and the highest measured rate."""
 
 DAMPINGS = (1.001e-5, 99.9)
