@@ -23,6 +23,7 @@ from piezo_common.side_by_side import side_by_side
 from piezo_identification.estimators.estimate import propagated
 from piezo_identification.fitting.parameter_sensitivities import (
     factor_surfaces,
+    responses_at,
     sensitivity_systems,
 )
 from piezo_identification.simulation.sampled_response import (
@@ -34,7 +35,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.lag import Lag
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
+from piezo_models.linear.connections import in_series, matrices_of, scaled, with_all_outputs
 from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_models.linear.dynamics_vector import (
@@ -101,49 +102,54 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
     linear, delay_s = behind_lags(model.linear(), lags)
     at_once = all(effect.acts_at_once(part.sample_period_s) for effect in others)
 
-    def responses(system: control.StateSpace,
-                  inputs_um: Iterable[FloatArray]) -> Iterator[FloatArray]:
-        return part.respond_each(system, inputs_um, delay_s, rows if at_once else None)
-
     ahead, of_pieces = model.effects_at("voltage"), linear
     if pieces_um is None or not all(isinstance(effect, Lag) for effect in ahead):
         pieces_um = piece_outputs_um(part, given)
     else:
         of_pieces = control.ss(*in_series(
             [*(matrices_of(effect.lag()) for effect in ahead), matrices_of(linear)]))
-    changes_um: Iterable[FloatArray] = chain(
-        *(responses(system, [part.input_um]) for system in _moved_systems(model, given, lags)),
-        () if of_pieces_um is not None else responses(of_pieces, pieces_um))
-    if others:
+    if of_pieces_um is not None:
+        pieces_um = ()
+    moved = _moved_systems(model, lags)
+    if at_once:
+        changes = np.column_stack([
+            *(responses_at(part, system, [part.input_um], rows, delay_s) for system in moved),
+            responses_at(part, of_pieces, pieces_um, rows, delay_s)])
+        if others:
+            displacement_um = part.respond(linear, part.input_um, delay_s)
+            changes *= _slope(others, part, displacement_um, rows)[:, None]
+    else:
         displacement_um = part.respond(linear, part.input_um, delay_s)
-        if at_once:
-            slope = _slope(others, part, displacement_um, rows)
-            changes_um = (slope * change_um for change_um in changes_um)
-        else:
-            changes_um = _through(others, part, displacement_um, changes_um, rows)
-    columns = np.column_stack([np.empty((rows.size, 0)), *changes_um])
-    return columns if of_pieces_um is None else np.hstack([columns, of_pieces_um])
+        changes_um = chain(
+            (part.respond(system[number, 0], part.input_um, delay_s)
+             for system in moved for number in range(system.noutputs)),
+            (part.respond(of_pieces, piece_um, delay_s) for piece_um in pieces_um))
+        changes = np.column_stack([np.empty((rows.size, 0)), *_through(
+            others, part, displacement_um, changes_um, rows)])
+    return changes if of_pieces_um is None else np.hstack([changes, of_pieces_um])
 
 
-def _moved_systems(model: StageModel, about: StageModel,
-                   lags: Sequence[Effect]) -> list[control.StateSpace]:
-    """Return the change of the linear part for one width of each of its parameters."""
+def _moved_systems(model: StageModel, lags: Sequence[Effect]) -> list[control.StateSpace]:
+    """Return the changes of the linear part for one width of each of its parameters, as outputs.
+
+    One system has the changes that follow the whole linear part, and another those that follow the
+    part of it that passes the model's own modes.
+    """
     linear = matrices_of(behind_lags(model.linear(), lags)[0])
     parallel = model.effects_at("modes")
     # With additional modes, the model's own modes contribute only a part of the displacement.
     own_modes = replace(model, effects=tuple(
         effect for effect in model.effects if effect not in parallel))
     share = 1.0 - sum(mode.participation for mode in parallel)
-    of_modes = scaled(share, matrices_of(
-        behind_lags(own_modes.linear(), lags)[0])) if parallel else linear
+    of_modes = scaled(share, matrices_of(behind_lags(own_modes.linear(), lags)[0]))
     ahead_of_modes = 2 * len(model.creep.poles_rad_per_s) + (model.dynamics.time_constant_s > 0.0)
     sensitivities = [*map(matrices_of, sensitivity_systems(model.creep, model.dynamics))]
-    systems = []
-    for number, weights in enumerate(_logarithms(model).T):
-        together = in_parallel([scaled(weight, sensitivities[index])
-                                for index, weight in enumerate(weights) if weight != 0.0])
-        ahead = linear if number < ahead_of_modes else of_modes
-        systems.append(control.ss(*in_series([ahead, together])))
+    logarithms, systems = _logarithms(model).T, []
+    for ahead, used in ((linear, slice(ahead_of_modes)), (of_modes, slice(ahead_of_modes, None))):
+        if sensitivities[used]:
+            a, b, c, d = in_series([ahead, with_all_outputs(sensitivities[used])])
+            weights = logarithms[used, used]
+            systems.append(control.ss(a, b, weights @ c, weights @ d))
     return systems
 
 

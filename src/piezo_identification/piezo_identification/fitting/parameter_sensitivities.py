@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sensitivities of a simulated displacement to the parameters of the model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 
 import control
 import numpy as np
@@ -13,6 +14,7 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.connections import in_series, matrices_of, with_all_outputs
 from piezo_models.linear.creep_errors import creep_error_map
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
@@ -54,21 +56,33 @@ def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) ->
     """
     model = part.model
     linear = model.linear()
-    columns = [
-        part.respond(sensitivity * linear, part.input_um, at=rows)
-        for sensitivity in sensitivity_systems(model.creep, model.dynamics)
-    ]
+    sensitivities = [*map(matrices_of, sensitivity_systems(model.creep, model.dynamics))]
+    systems = [control.ss(*in_series([matrices_of(linear), with_all_outputs(sensitivities)]))
+               ] if sensitivities else []
     without_offset = replace(model.hysteresis, offset_um=0.0)
     unchanged = np.zeros(len(without_offset.density_um_per_v2))
     multiplied = [_times(without_offset, surface, np.diagonal(surface))
                   for surface in _smooth_surfaces(model)]
     multiplied += [_times(without_offset, surface, unchanged) for surface in _near_surfaces(model)]
-    for hysteresis in multiplied:
-        columns.append(part.respond(linear, part.hysteresis_output_um(hysteresis), at=rows))
     reversible_um, given_um = map(
         part.hysteresis_output_um, (_traded(model.hysteresis, 1.0), model.hysteresis))
-    columns.append(part.respond(linear, reversible_um - given_um, at=rows))
-    return np.column_stack(columns) @ _width_map(model)
+    return np.column_stack([
+        *(responses_at(part, system, [part.input_um], rows) for system in systems),
+        responses_at(part, linear, chain(map(part.hysteresis_output_um, multiplied),
+                                         [reversible_um - given_um]), rows),
+    ]) @ _width_map(model)
+
+
+def responses_at(part: SimulatedRecording, system: control.StateSpace,
+                 inputs_um: Iterable[FloatArray], rows: NDArray[np.intp],
+                 delay_s: float = 0.0) -> FloatArray:
+    """Return all outputs of a system at some rows for inputs of equal length, (n, columns)."""
+    columns, sampled = [np.empty((rows.size, 0))], None
+    for input_um in inputs_um:
+        if sampled is None:
+            sampled = part.sampled(system, delay_s, input_um.size // part.time_s.size)
+        columns.append(sampled.response_at(input_um, rows))
+    return np.column_stack(columns)
 
 
 def perturbed(model: StageModel, changes: FloatArray) -> StageModel:

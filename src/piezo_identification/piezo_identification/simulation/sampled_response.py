@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Response of the linear part at the samples of a recording, with delays within a sample."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import takewhile
 
@@ -83,29 +83,43 @@ def respond(
     parts : int
         Parts of a sample period; 1 for means.
     """
-    return next(respond_each(system, [input_um], sample_period_s, samples, delay_s, at, parts))
+    sampled = SampledSystem(system, sample_period_s, samples, delay_s, parts)
+    return sampled.response(input_um) if at is None else sampled.response_at(input_um, at)[:, 0]
 
 
-def respond_each(
-    system: control.StateSpace, inputs_um: Iterable[FloatArray], sample_period_s: float,
-    samples: int, delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
-) -> Iterator[FloatArray]:
-    """Yield the responses to several inputs; see `respond` for the parameters."""
-    discrete, late = _sampled(*(matrix.tobytes() for matrix in matrices_of(system)),
-                              sample_period_s / parts, samples, delay_s, parts > 1)
-    at = None if at is None else at * parts
-    held = equilibrium_state(system)
-    for input_um in inputs_um:
-        delayed, early = min(max(late, 0), input_um.size), max(-late, 0)
+class SampledSystem:
+    """A continuous system sampled like a recording; see `respond` for the parameters.
+
+    It may have several outputs.
+    """
+
+    def __init__(self, system: control.StateSpace, sample_period_s: float, samples: int,
+                 delay_s: float = 0.0, parts: int = 1) -> None:
+        self._discrete, self._late = _sampled(
+            *(matrix.tobytes() for matrix in matrices_of(system)), sample_period_s / parts,
+            samples, delay_s, parts > 1)
+        self._held, self._parts = equilibrium_state(system), parts
+
+    def response(self, input_um: FloatArray) -> FloatArray:
+        """Return the only output at all samples, (N,)."""
+        delayed, early = min(max(self._late, 0), input_um.size), max(-self._late, 0)
         played_um = input_um
         if delayed or early:
             played_um = np.concatenate([
                 np.full(delayed, input_um[0]), input_um[: input_um.size - delayed],
                 np.full(early, input_um[-1])])
-        if at is None:
-            yield simulate_linear(discrete, played_um, input_um[0] * held)[early::parts]
-        else:
-            yield simulate_linear_at(discrete, played_um, input_um[0] * held, at + early)
+        return simulate_linear(
+            self._discrete, played_um, input_um[0] * self._held)[early :: self._parts]
+
+    def response_at(self, input_um: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+        """Return all outputs at a few sorted samples, (n, outputs)."""
+        read = at * self._parts - self._late
+        beyond = int(read[-1]) + 1 - input_um.size if read.size else 0
+        if beyond > 0:
+            input_um = np.concatenate([input_um, np.full(beyond, input_um[-1])])
+        # Before the first sample, the system was in equilibrium as it is there.
+        return simulate_linear_at(
+            self._discrete, input_um, input_um[0] * self._held, np.maximum(read, 0))
 
 
 @lru_cache(maxsize=KEPT)
@@ -115,9 +129,10 @@ def _sampled(a: bytes, b: bytes, c: bytes, d: bytes, sample_period_s: float, sam
 
     It is cached, as one system is often used for many recordings, and must not be changed.
     """
-    gains, weights, direct = (np.frombuffer(matrix) for matrix in (b, c, d))
-    system = control.ss(np.frombuffer(a).reshape(gains.size, gains.size), gains[:, None],
-                        weights[None, :], direct[:, None])
+    gains, direct = np.frombuffer(b), np.frombuffer(d)
+    system = control.ss(
+        np.frombuffer(a).reshape(gains.size, gains.size), gains[:, None],
+        np.frombuffer(c).reshape(direct.size, gains.size), direct[:, None])
     if of_means:
         system = answering_means(system, sample_period_s)
     if delay_s != 0.0:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A recording, and cached simulations of it by a model with further effects."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import Self
 
 import control
@@ -24,9 +23,9 @@ from piezo_identification.conditioning.waveforms import (
     with_voltage_before,
 )
 from piezo_identification.simulation.sampled_response import (
+    SampledSystem,
     behind_lags,
     leading_lags,
-    respond_each,
 )
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -94,9 +93,6 @@ class SimulatedRecording:
         First sample after the start has settled; 0 if the recording begins at rest.
     settled, good : (n,) array of int
         Samples after the start has settled, and those of them that are not outliers.
-    hysteresis_um, input_um : (N parts,) array
-        Output of the hysteresis, and the same with its creep: the input of the linear part. A row
-        has several parts if the voltage moves within it; see `in_parts`.
 
     Raises
     ------
@@ -128,17 +124,16 @@ class SimulatedRecording:
         if self.good.size <= self._initial_motion(self.good[:1]).shape[1]:
             raise ValueError(f"{self.path} has {self.time_s.size} samples: record longer")
         self._bases: dict[bytes, FloatArray] = {}
-        self._amplified_v = self._amplified(())
-        self._simulate_hysteresis()
-        self._simulate_linear()
+        self._forget_hysteresis()
+        self._forget_linear()
 
     def after(self, past_v: PastVoltages, highest_v: float | None = None) -> Self:
         """Return the same recording simulated after other earlier voltages."""
         other = copy(self)
         other.past_v = past_v
         other.highest_v = self.highest_v if highest_v is None else highest_v
-        other._simulate_hysteresis()
-        other._simulate_linear()
+        other._forget_hysteresis()
+        other._forget_linear()
         return other
 
     def with_model(self, model: StageModel) -> Self:
@@ -149,20 +144,22 @@ class SimulatedRecording:
         other, given = copy(self), self.model
         other._bases = {}
         other.model = model = model.as_rows_show(self.sample_period_s)
-        if not (model.hysteresis is given.hysteresis and model.first_rise is given.first_rise
+        is_amplified_alike = model.effects_at("voltage") == given.effects_at("voltage")
+        if not is_amplified_alike:
+            vars(other).pop("_amplified_v", None)
+        if not (is_amplified_alike and model.hysteresis is given.hysteresis
+                and model.first_rise is given.first_rise
                 and model.hysteretic_creep is given.hysteretic_creep
-                and model.effects_at("voltage") == given.effects_at("voltage")
                 and overshooting(model.effects) == overshooting(given.effects)):
-            other._amplified_v = other._amplified(())
-            other._simulate_hysteresis()
-        other._simulate_linear()
+            other._forget_hysteresis()
+        other._forget_linear()
         return other
 
     def read_at(self, read_late_s: float) -> Self:
         """Return the same recording with displacements read at another time after the voltages."""
         other = copy(self)
         other.read_late_s = read_late_s
-        other._simulate_linear()
+        other._forget_linear()
         return other
 
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
@@ -272,27 +269,21 @@ class SimulatedRecording:
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of a continuous system, sampled like the recording; see `respond`."""
-        return next(self.respond_each(system, [input_um], delay_s, at))
+        sampled = self.sampled(system, delay_s, input_um.size // self.time_s.size)
+        return sampled.response(input_um) if at is None else sampled.response_at(input_um, at)[:, 0]
 
-    def respond_each(self, system: control.StateSpace, inputs_um: Iterable[FloatArray],
-                     delay_s: float = 0.0,
-                     at: NDArray[np.intp] | None = None) -> Iterator[FloatArray]:
-        """Yield the outputs of a continuous system for several inputs of equal length."""
-        inputs = iter(inputs_um)
-        first = next(inputs, None)
-        if first is not None:
-            yield from respond_each(
-                system, chain([first], inputs), self.sample_period_s, self.samples_per_mean,
-                delay_s - self.read_late_s, at, first.size // self.time_s.size)
+    def sampled(self, system: control.StateSpace, delay_s: float, parts: int) -> SampledSystem:
+        """Return a continuous system sampled like the recording, for inputs in parts of rows."""
+        return SampledSystem(system, self.sample_period_s, self.samples_per_mean,
+                             delay_s - self.read_late_s, parts)
 
-    def _simulate_hysteresis(self) -> None:
-        """Simulate the model up to the input of its linear part."""
-        self.hysteresis_um, self._rest_input_um = self._hysteresis(
-            self.model.hysteresis, self._amplified_v)
-        self.input_um = self._with_creep(self.hysteresis_um, self._amplified_v)
+    def _forget_hysteresis(self) -> None:
+        """Clear the cached signals up to the input of the linear part."""
+        for name in ("_hysteresis_and_rest_um", "input_um"):
+            vars(self).pop(name, None)
         self._inputs: dict[tuple, FloatArray] = {}
 
-    def _simulate_linear(self) -> None:
+    def _forget_linear(self) -> None:
         """Clear the cached outputs of the linear part."""
         for name in ("rest_um", "drive_um"):
             vars(self).pop(name, None)
@@ -300,9 +291,28 @@ class SimulatedRecording:
         self._ahead: dict[tuple, FloatArray] = {}
 
     @cached_property
+    def _amplified_v(self) -> FloatArray:
+        """Voltage after the effects of the model, in parts of all rows."""
+        return self._amplified(())
+
+    @cached_property
+    def _hysteresis_and_rest_um(self) -> tuple[FloatArray, float]:
+        return self._hysteresis(self.model.hysteresis, self._amplified_v)
+
+    @property
+    def hysteresis_um(self) -> FloatArray:
+        """Output of the hysteresis, in um, (N parts,); see `in_parts` for the parts of a row."""
+        return self._hysteresis_and_rest_um[0]
+
+    @cached_property
+    def input_um(self) -> FloatArray:
+        """Output of the hysteresis with its creep: the input of the linear part, (N parts,)."""
+        return self._with_creep(self.hysteresis_um, self._amplified_v)
+
+    @cached_property
     def rest_um(self) -> float:
         """Displacement at which the stage rested before the recording."""
-        moved_um = self.hysteresis_um[0] - self._rest_input_um
+        moved_um = self.hysteresis_um[0] - self._hysteresis_and_rest_um[1]
         return float(self._output((), (), ())[0] - moved_um)
 
     @cached_property
@@ -351,8 +361,9 @@ class SimulatedRecording:
         hysteresis.simulate(self.past_v, memory)
         within_v, count = with_overshoot(
             amplified_v, amplified_v[0], (*self.model.effects, *effects))
-        return (hysteresis.simulate(within_v, memory)[count - 1 :: count]
-                + hysteresis.line_beyond_um(amplified_v))
+        output_um = hysteresis.simulate(within_v, memory)[count - 1 :: count]
+        output_um += hysteresis.line_beyond_um(amplified_v)
+        return output_um
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Return the input of the linear part: the output of the hysteresis with its creep."""

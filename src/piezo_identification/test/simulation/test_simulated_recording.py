@@ -19,6 +19,7 @@ from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_models.hysteresis.first_rise import FirstRise
+from piezo_models.hysteresis.preisach import PreisachModel
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,21 @@ def test_what_is_used_is_kept_and_what_is_not_goes(recording):
     assert CountedBacklash.applied.count(0.0) == 1
     recording.simulate((CountedBacklash(0.05, 1), sensor(0.1)))
     assert CountedBacklash.applied.count(1.0) == 2
+
+
+def test_a_hysteresis_behind_an_effect_on_the_voltage_is_simulated_alone(recording, monkeypatch):
+    simulated, real = [], PreisachModel.simulate
+
+    def noted(self, voltage_v, memory=None):
+        simulated.append(len(voltage_v))
+        return real(self, voltage_v, memory)
+
+    changed = replace(recording.model.hysteresis, offset_um=1.0)
+    rows = np.arange(9)
+    monkeypatch.setattr(PreisachModel, "simulate", noted)
+    recording.with_model(replace(recording.model, hysteresis=changed)).simulate(
+        (AmplifierLag(1e-3),), rows=rows)
+    assert len([count for count in simulated if count]) == 1
 
 
 MODE, LAG = VibrationMode(9000.0, 0.01, 0.01), SensorLag(1e-4)

@@ -243,7 +243,7 @@ class PreisachModel:
         `simulate` and `invert` do not, as a stage is not driven beyond the identified voltages.
         """
         if self.density_um_per_v2.any():
-            return np.zeros(voltage_v.shape)
+            return np.broadcast_to(0.0, voltage_v.shape)
         low_um_per_v, high_um_per_v = self.reversible_um_per_v[[0, -1]]
         return np.asarray(low_um_per_v * np.minimum(voltage_v - self.voltage_min_v, 0.0)
                           + high_um_per_v * np.maximum(voltage_v - self.voltage_max_v, 0.0))

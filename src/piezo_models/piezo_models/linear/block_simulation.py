@@ -5,7 +5,6 @@ A recursion processes one sample after the other. Within a block the output is l
 input and in the state at its start (Burrus 1972), and so is the state after it.
 """
 
-from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -25,8 +24,9 @@ FEWEST = 64 * LENGTH
 BATCH = 512
 """Blocks of a batch, which fit into the cache."""
 
-KEPT = 64
-"""Systems whose matrices are cached, 0.1 MB each; a fit uses some dozens for its recordings."""
+KEPT = 16
+"""Systems whose matrices are cached, 0.1 MB for each output; a fit simulates many inputs of a few
+systems at a time."""
 
 LONG = 128
 """Samples of a block if few outputs are needed, which makes the states the main cost."""
@@ -40,86 +40,87 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
     sample is updated in place to that after the last block; the output is filled with that of the
     blocks.
     """
-    gains, outputs, impulse, transposed = _block(a, b, c, direct, LENGTH)
+    gains, outputs, impulse, transposed = _block(a, b, c[None], np.array([direct]), LENGTH)
+    of_states = np.ascontiguousarray(outputs[0].T)
     answers = np.ascontiguousarray(
-        sliding_window_view(np.concatenate([np.zeros(LENGTH - 1), impulse]), LENGTH)[::-1])
+        sliding_window_view(np.concatenate([np.zeros(LENGTH - 1), impulse[0]]), LENGTH)[::-1])
     done = samples.size // LENGTH * LENGTH
-    behind = output[:done].reshape(-1, LENGTH)
-    for begin, batch, states in _batches(samples[:done].reshape(-1, LENGTH), gains, transposed,
-                                         state):
+    blocks, behind = (each[:done].reshape(-1, LENGTH) for each in (samples, output))
+    for begin in range(0, len(blocks), BATCH):
+        batch = blocks[begin : begin + BATCH]
+        states = _states(transposed, batch @ gains, state)
         np.matmul(batch, answers, out=behind[begin : begin + BATCH])
-        behind[begin : begin + BATCH] += states @ outputs
+        behind[begin : begin + BATCH] += states @ of_states
     return done
 
 
-def blocks_at(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
-              state: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-    """Simulate whole blocks of `LONG` samples; return the output at a few of their samples, sorted.
+def outputs_in_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: FloatArray,
+                      samples: FloatArray, state: FloatArray,
+                      at: NDArray[np.intp]) -> FloatArray:
+    """Return the outputs of a system with several outputs at a few samples, sorted, (m, outputs).
 
-    For the other blocks only the states are computed, which saves most of the work and the memory.
-    The system and its state are those of `run_blocks`.
+    For other samples, only the states at the starts of blocks of `LONG` samples are computed, once
+    for all outputs. `c` is (outputs, n), `direct` is (outputs,); the state at the first sample is
+    overwritten.
     """
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
-    output, latest_first = np.empty(at.size), impulse[::-1].copy()
-    for begin, batch, states in _batches(samples.reshape(-1, LONG), gains, transposed, state):
-        asked = slice(*np.searchsorted(at, [begin * LONG, (begin + BATCH) * LONG]))
-        _answer(batch.reshape(-1), states, latest_first, outputs, at[asked] - begin * LONG,
-                output[asked])
-    return output
+    answers, latest_first = np.empty((at.size, len(c))), np.ascontiguousarray(impulse[:, ::-1])
+    last = at[-1] + 1 if at.size else 0
+    for begin in range(0, last, BATCH * LONG):
+        batch = samples[begin : begin + BATCH * LONG]
+        whole = batch.size // LONG * LONG
+        states = _states(transposed, batch[:whole].reshape(-1, LONG) @ gains, state)
+        asked = slice(*np.searchsorted(at, [begin, begin + BATCH * LONG]))
+        _answer(batch, np.vstack([states, state]), latest_first, outputs, at[asked] - begin,
+                answers[asked])
+    return answers
 
 
-def _batches(blocks: FloatArray, gains: FloatArray, transposed: FloatArray, state: FloatArray,
-             ) -> Iterator[tuple[int, FloatArray, FloatArray]]:
-    """Yield the number of the first block, the blocks and the states at their starts."""
-    for begin in range(0, len(blocks), BATCH):
-        batch = blocks[begin : begin + BATCH]
-        yield begin, batch, _states(transposed, batch @ gains, state)
-
-
-def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, length: int,
+def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: FloatArray, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the matrices to state and output, the impulse response and a^length transposed.
+    """Return the matrices to state and outputs, the impulse responses and a^length transposed.
 
     They are cached and shared, since one system is often simulated with many inputs. Do not change
     them.
     """
-    return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), float(direct), length)
+    return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), direct.tobytes(), length)
 
 
 @lru_cache(maxsize=KEPT)
-def _block_of(a_bytes: bytes, b_bytes: bytes, c_bytes: bytes, direct: float, length: int,
+def _block_of(a_bytes: bytes, b_bytes: bytes, c_bytes: bytes, direct_bytes: bytes, length: int,
               ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    b, c = np.frombuffer(b_bytes), np.frombuffer(c_bytes)
-    a = np.frombuffer(a_bytes).reshape(b.size, b.size)
-    driven, power = _sequence(a, b, length)
-    outputs, _ = _sequence(np.ascontiguousarray(a.T), c, length)
-    impulse = np.concatenate([[direct], b @ outputs[:, :-1]])
-    return (np.ascontiguousarray(driven[:, ::-1].T), outputs, impulse,
-            np.ascontiguousarray(power.T))
+    b, direct = np.frombuffer(b_bytes), np.frombuffer(direct_bytes)
+    a, c = np.frombuffer(a_bytes).reshape(-1, b.size), np.frombuffer(c_bytes).reshape(-1, b.size)
+    driven, transposed = _sequence(b[None], np.ascontiguousarray(a.T), length)
+    outputs = np.ascontiguousarray(_sequence(c, a, length)[0].swapaxes(0, 1))
+    impulse = np.column_stack([direct, outputs[:, :-1] @ b])
+    return np.ascontiguousarray(driven[::-1, 0]), outputs, impulse, transposed
 
 
-def _sequence(a: FloatArray, vector: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
-    """Return the columns a^k vector for each k below length, a power of two, and a^length."""
-    columns, power = vector[:, None], a
-    while columns.shape[1] < length:
-        columns, power = np.hstack([columns, power @ columns]), power @ power
-    return columns, power
+def _sequence(rows: FloatArray, a: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
+    """Return rows a^k for each k below length, a power of two, (length, rows, n), and a^length."""
+    sequence, power = rows[None], a
+    while len(sequence) < length:
+        sequence, power = np.concatenate([sequence, sequence @ power]), power @ power
+    return sequence, power
 
 
 # The order of the sum is free, so that the processor adds several products at once.
 @njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
 def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
-            outputs: FloatArray, at: NDArray[np.intp], output: FloatArray) -> None:
-    """Write the output at some samples of whole blocks, from the states at their starts."""
-    length = latest_first.size
+            outputs: FloatArray, at: NDArray[np.intp], answers: FloatArray) -> None:
+    """Write the outputs at some samples of blocks, from the states at the starts of these."""
+    count, length = latest_first.shape
     for k in range(at.size):
         block, place = divmod(at[k], length)
-        answer = 0.0
-        for i in range(place + 1):
-            answer += samples[block * length + i] * latest_first[length - 1 - place + i]
-        for j in range(states.shape[1]):
-            answer += states[block, j] * outputs[j, place]
-        output[k] = answer
+        for number in range(count):
+            answer = 0.0
+            for i in range(place + 1):
+                answer += samples[block * length + i] * latest_first[
+                    number, length - 1 - place + i]
+            for j in range(states.shape[1]):
+                answer += states[block, j] * outputs[number, place, j]
+            answers[k, number] = answer
 
 
 @njit(cache=True, nogil=True)

@@ -10,11 +10,12 @@ from functools import reduce
 
 import control
 import numpy as np
+from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""A, B, C and D of a continuous system with one input and one output."""
+"""A, B, C and D of a continuous system with one input, and one output unless stated."""
 
 
 def matrices_of(system: control.StateSpace) -> Matrices:
@@ -30,6 +31,12 @@ def in_series(systems: Iterable[Matrices]) -> Matrices:
 def in_parallel(systems: Sequence[Matrices]) -> Matrices:
     """Return the parallel connection of at least one system: the sum of their outputs."""
     return reduce(_parallel, systems)
+
+
+def with_all_outputs(systems: Sequence[Matrices]) -> Matrices:
+    """Return systems with a common input as one; its outputs are theirs, one after the other."""
+    a, b, c, d = zip(*systems, strict=True)
+    return block_diag(*a), np.vstack(b), block_diag(*c), np.vstack(d)
 
 
 def scaled(gain: float, system: Matrices) -> Matrices:

@@ -10,7 +10,13 @@ import pytest
 from piezo_models.cascade import StageModel
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.connections import in_parallel, in_series, matrices_of, scaled
+from piezo_models.linear.connections import (
+    in_parallel,
+    in_series,
+    matrices_of,
+    scaled,
+    with_all_outputs,
+)
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
 
@@ -31,6 +37,7 @@ def test_connections_are_those_of_python_control():
     assert_same(in_series(blocks), reduce(lambda first, second: second * first, given))
     assert_same(in_parallel(blocks), reduce(lambda first, second: first + second, given))
     assert_same(scaled(0.3, blocks[1]), 0.3 * given[1])
+    assert_same(with_all_outputs(blocks), reduce(control.append, given) * np.ones((4, 1)))
 
 
 def test_nothing_in_series_passes_the_input_on():

@@ -48,6 +48,7 @@ from piezo_identification.fitting.regression import (
 )
 from piezo_identification.fitting.structure_search import loudest_mode
 from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
@@ -65,9 +66,9 @@ MOST_OTHERS = 3
 well."""
 
 LARGEST_RESIDUAL = 2.0
-"""Largest residual relative to that of the given model for which a simple model is worth a
-comparison of effects: hysteresis, creep and further modes then explain less than half of the
-misfit."""
+"""Largest residual relative to that of the given model, on the new recordings and on the old ones,
+for which a simple model is worth a comparison of effects: hysteresis, creep and further modes then
+explain less than half of the misfit."""
 
 STEPS = 20
 """Largest number of steps of its fit."""
@@ -191,7 +192,7 @@ def with_plain_model(competition: Competition, model: StageModel, new: Sequence[
     residual_um = regression.residual_um(regression.as_given())
     with while_time_lasts("effects added to a line and one mode"):
         check_cancelled()
-        plain = plain_model(model, [*new, *old], residual_um)
+        plain = plain_model(model, new, old, residual_um)
         if plain is None:
             return competition
         stated_um = competition.stated_um
@@ -345,15 +346,22 @@ def is_plain(model: StageModel) -> bool:
                 or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
 
 
-def plain_model(model: StageModel, recordings: Sequence[Recording],
+def plain_model(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],
                 residual_um: float) -> StageModel | None:
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
     The recordings have the sign of the model, and marked outliers. Return the better one, or None
-    if the model has no mode, or both fit far worse than it does.
+    if the model has no mode, or both fit far worse than it does. An effect that came after the
+    identification adds to both residuals of the new recordings, but to none of the old ones.
+
+    Parameters
+    ----------
+    residual_um : float
+        RMS residual that the model leaves in the new recordings.
     """
     if model.dynamics.is_static and not model.effects_at("modes"):
         return None
+    recordings = [*new, *old]
     period_s = float(min(each.sample_periods_s.min() for each in recordings))
     bare = StageModel(_line(model, recordings), CreepDynamics(), loudest_mode(model, period_s))
     problem = WholeModel(bare, recordings, [0.0] * len(recordings))
@@ -361,7 +369,10 @@ def plain_model(model: StageModel, recordings: Sequence[Recording],
     if problem.is_sampled:
         starts.append((replace(bare, effects=(BandLimitedVoltage(),)), 0.5 * period_s))
     best = min((_fitted(problem, *start) for start in starts), key=_residual_rms_um)
-    is_close = _residual_rms_um(best) < LARGEST_RESIDUAL * residual_um
+    of_given_um = [simulated_recording(model, each).error_um() for each in old]
+    is_close = _residual_rms_um(best, slice(len(new))) < LARGEST_RESIDUAL * residual_um and (
+        not old or _residual_rms_um(best, slice(len(new), None))
+        < LARGEST_RESIDUAL * np.sqrt(np.mean(np.square(of_given_um))))
     return best.delayed_model if is_close else None
 
 
@@ -393,6 +404,7 @@ def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
     return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
 
 
-def _residual_rms_um(fit: WholeFit) -> float:
-    """Return the RMS residual of the fitted rows."""
-    return float(np.sqrt(np.mean(np.concatenate([fitted for fitted, _ in fit.residual_um]) ** 2)))
+def _residual_rms_um(fit: WholeFit, recordings: slice = slice(None)) -> float:
+    """Return the RMS residual of the fitted rows of some recordings."""
+    residual_um = [fitted for fitted, _ in fit.residual_um[recordings]]
+    return float(np.sqrt(np.mean(np.concatenate(residual_um) ** 2)))

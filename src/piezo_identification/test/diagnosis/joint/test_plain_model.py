@@ -68,7 +68,7 @@ def error_um(model, unseen):
 
 def test_a_line_and_a_mode_behind_a_smooth_voltage_are_found():
     linear = recording(1, cubic_per_um2=0.0)
-    found = plain_model(model_with_loops(), [linear], error_um(model_with_loops(), linear))
+    found = plain_model(model_with_loops(), [linear], [], error_um(model_with_loops(), linear))
     assert any(isinstance(effect, BandLimitedVoltage) for effect in found.effects)
     assert found.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=1e-3)
     assert found.dynamics.damping_ratios[0] == pytest.approx(DAMPING_RATIO, rel=1e-2)
@@ -89,12 +89,19 @@ def behind_a_slow_approach(measured, rows=20, slower=10):
 def test_parts_of_a_recording_may_have_other_sample_periods():
     linear = recording(1, cubic_per_um2=0.0)
     left_um = error_um(model_with_loops(), linear)
-    found = plain_model(model_with_loops(), [behind_a_slow_approach(linear)], left_um)
+    found = plain_model(model_with_loops(), [behind_a_slow_approach(linear)], [], left_um)
     assert found.dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=1e-3)
 
 
 def test_there_is_none_where_the_given_model_leaves_far_less():
-    assert plain_model(model_with_loops(), [recording(1)], NOISE_UM) is None
+    assert plain_model(model_with_loops(), [recording(1)], [], NOISE_UM) is None
+
+
+def test_there_is_none_where_loops_explain_the_old_recordings():
+    model, new = model_with_loops(), recording(1)
+    old = replace(new, displacement_um=model.simulate(new.voltage_v, PERIOD_S))
+    assert plain_model(model, [new], [], error_um(model, new)) is not None
+    assert plain_model(model, [new], [old], error_um(model, new)) is None
 
 
 @pytest.mark.long
