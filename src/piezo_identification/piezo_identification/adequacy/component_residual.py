@@ -51,7 +51,11 @@ from piezo_identification.simulation.sampled_response import (
     leading_lags,
     respond,
 )
-from piezo_identification.simulation.simulated_recording import in_parts, offset_and_decays
+from piezo_identification.simulation.simulated_recording import (
+    RowVoltage,
+    in_parts,
+    offset_and_decays,
+)
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
@@ -228,8 +232,8 @@ def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> 
     if not ahead:
         return level
     low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
-    voltage_v = low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level)
-    in_parts_v, parts = in_parts(voltage_v, ahead, part.sample_period_s, samples_per_mean(part))
+    voltage = RowVoltage(low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level))
+    in_parts_v, parts = in_parts(voltage, ahead, part.sample_period_s, samples_per_mean(part))
     return model.hysteresis.simulate(
         model.amplified(in_parts_v, part.sample_period_s / parts), model.hysteresis.memory())
 

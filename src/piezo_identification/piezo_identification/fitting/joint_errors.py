@@ -432,7 +432,7 @@ class JointErrors:
         dataset, rows = point.dataset, point.dataset.rows[index]
         given, part = self.dataset.model, dataset.simulated[index]
         there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
-        behind = part.with_model(replace(dataset.model, effects=there))
+        behind = part.with_effects(there)
         pieces_um = None if self._pieces_um is None else self._pieces_um[index]
         known = self._of_pieces_um or {}
         changes = free_sensitivities(behind, rows, given, pieces_um, known.get(index))

@@ -115,7 +115,8 @@ class SimulatedRecording:
         self.measured_um = np.ascontiguousarray(part.displacement_um, dtype=float)
         self.outlier = ~good_samples(part)
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
-        self._joined_v, self._samples_before = with_voltage_before(recording, part)
+        joined_v, self._samples_before = with_voltage_before(recording, part)
+        self._joined = RowVoltage(joined_v)
         self._rests_at_first = rests_at_first(recording)
         self.begin = 0 if self._rests_at_first else first_settled(
             model.dynamics, self.time_s, model.effects)
@@ -155,6 +156,16 @@ class SimulatedRecording:
         other._forget_linear()
         return other
 
+    def with_effects(self, effects: Sequence[Effect]) -> Self:
+        """Return the same recording simulated by a model that has further effects.
+
+        It has the same input of the linear part as `simulate` with these effects, which is cached.
+        """
+        other = self.with_model(
+            replace(self.model, effects=(*self.model.effects, *effects)))
+        vars(other)["input_um"] = self._input_um(self._on_voltage(effects))
+        return other
+
     def read_at(self, read_late_s: float) -> Self:
         """Return the same recording with displacements read at another time after the voltages."""
         other = copy(self)
@@ -174,9 +185,8 @@ class SimulatedRecording:
         rows : (n,) array of int, optional
             Sorted samples to return; by default all. A few samples cost less.
         """
+        on_voltage = self._on_voltage(effects)
         effects = as_rows_show(effects, self.sample_period_s)
-        on_voltage = (*(effect for effect in effects if effect.place == "voltage"),
-                      *overshooting(effects))
         in_series = tuple(
             effect for effect in effects
             if effect.place == "modes" or effect.place == "linear" and effect not in quick
@@ -194,6 +204,12 @@ class SimulatedRecording:
         if in_turn or not any(linear_part):
             return self._behind(linear_part, in_turn)[rows]
         return self._output(*linear_part, rows)
+
+    def _on_voltage(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return the effects on which the input of the linear part depends."""
+        effects = as_rows_show(effects, self.sample_period_s)
+        return (*(effect for effect in effects if effect.place == "voltage"),
+                *overshooting(effects))
 
     def error_um(self, rows: NDArray[np.intp] | None = None) -> float:
         """Return the RMS error at sorted rows (by default `good`), but for initial motion."""
@@ -337,7 +353,7 @@ class SimulatedRecording:
 
     def _before(self, values: FloatArray) -> int:
         """Return the number of values, including parts of rows, before the waveform."""
-        return self._samples_before * (values.size // self._joined_v.size)
+        return self._samples_before * (values.size // self._joined.voltage_v.size)
 
     def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
         """Return the voltage after the model's and then further effects, in parts of all rows.
@@ -345,7 +361,7 @@ class SimulatedRecording:
         A model with all these effects applies them in the same order.
         """
         voltage_v, parts = in_parts(
-            self._joined_v, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
+            self._joined, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
             self.samples_per_mean)
         period_s = self.sample_period_s / parts
         voltage_v = self.model.amplified(voltage_v, period_s)
@@ -373,7 +389,7 @@ class SimulatedRecording:
         past, before = model.hysteresis.memory(), self._before(amplified_v)
         model.hysteresis.simulate([*self.past_v, *amplified_v[: before + 1]], past)
         memory = model.hysteretic_creep.memory(past.extremes_v[: past.top + 1])
-        period_s = self.sample_period_s * self._joined_v.size / amplified_v.size
+        period_s = self.sample_period_s * self._joined.voltage_v.size / amplified_v.size
         return hysteresis_um + model.hysteretic_creep.simulate(
             amplified_v[before:], period_s, memory)
 
@@ -412,12 +428,14 @@ class SimulatedRecording:
     def _response(self, on_voltage: tuple[Effect, ...], in_series: tuple[Effect, ...],
                   lags: tuple[Effect, ...], at: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the output of the linear part and the lags after it, at all samples or some."""
-        input_um = self._input_um(on_voltage) if on_voltage else self.input_um
+        input_um = self._input_um(on_voltage)
         system, delay_s = behind_lags(_linear_part(self.model, in_series), lags)
         return self.respond(system, input_um, delay_s, at)
 
     def _input_um(self, on_voltage: tuple[Effect, ...]) -> FloatArray:
         """Return the input of the linear part with effects on the voltage, cached."""
+        if not on_voltage:
+            return self.input_um
         input_um = self._inputs.get(on_voltage)
         if input_um is None:
             amplified_v = self._amplified(on_voltage)
@@ -445,14 +463,24 @@ def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSp
     return replace(model, effects=(*model.effects, *more)).linear()
 
 
-def in_parts(voltage_v: FloatArray, effects: Collection[Effect], sample_period_s: float,
+@dataclass(frozen=True, eq=False)
+class RowVoltage:
+    """Recorded voltage of the rows, (N,)."""
+
+    voltage_v: FloatArray
+
+    @cached_property
+    def means_v(self) -> FloatArray:
+        """Means of a band-limited voltage over the parts of its rows, (N `PARTS`,)."""
+        return means_of_parts(self.voltage_v, PARTS)
+
+
+def in_parts(voltage: RowVoltage, effects: Collection[Effect], sample_period_s: float,
              samples_per_mean: int) -> tuple[FloatArray, int]:
     """Return a recorded voltage divided into the parts in which its rows are simulated.
 
     Parameters
     ----------
-    voltage_v : (N,) array
-        Voltage of the rows.
     effects : collection of Effect
         Effects on the voltage; those that act within a row require several parts.
     samples_per_mean : int
@@ -467,6 +495,6 @@ def in_parts(voltage_v: FloatArray, effects: Collection[Effect], sample_period_s
     """
     is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
     if is_smooth and samples_per_mean == 1:
-        return means_of_parts(voltage_v, PARTS), PARTS
+        return voltage.means_v, PARTS
     parts = parts_of_rows(effects, sample_period_s, samples_per_mean)
-    return np.repeat(voltage_v, parts), parts
+    return np.repeat(voltage.voltage_v, parts), parts

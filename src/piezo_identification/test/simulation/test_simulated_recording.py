@@ -75,9 +75,12 @@ def test_a_hysteresis_behind_an_effect_on_the_voltage_is_simulated_alone(recordi
     changed = replace(recording.model.hysteresis, offset_um=1.0)
     rows = np.arange(9)
     monkeypatch.setattr(PreisachModel, "simulate", noted)
-    recording.with_model(replace(recording.model, hysteresis=changed)).simulate(
-        (AmplifierLag(1e-3),), rows=rows)
+    other = recording.with_model(replace(recording.model, hysteresis=changed))
+    other.simulate((AmplifierLag(1e-3),), rows=rows)
+    found = other.with_effects((AmplifierLag(1e-3),)).input_um
     assert len([count for count in simulated if count]) == 1
+    model = replace(other.model, effects=(*other.model.effects, AmplifierLag(1e-3)))
+    np.testing.assert_array_equal(found, other.with_model(model).input_um)
 
 
 MODE, LAG = VibrationMode(9000.0, 0.01, 0.01), SensorLag(1e-4)
