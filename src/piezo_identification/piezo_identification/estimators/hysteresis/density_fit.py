@@ -38,9 +38,6 @@ LEVELS = 70
 FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
-LARGE_STEP_SHARE = 0.9
-"""Quantile of the voltage steps from sample to sample that is used as the height of a level."""
-
 
 def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
@@ -139,14 +136,16 @@ def density_of_parts(
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     """Return the number of equal voltage steps that the recordings resolve.
 
+    A step between rows counts once, however large it is: only its ends matter to the hysteresis.
+
     Returns
     -------
     int
         Between 1 and `LEVELS`.
     """
-    steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
-    largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
-    return int(np.clip(round(range_v / largest_v), 1, LEVELS))
+    voltage_v = np.concatenate([part.voltage_v for part in parts])
+    levels = np.unique(np.round((voltage_v - voltage_v.min()) * (LEVELS / range_v)))
+    return int(np.clip(levels.size - 1, 1, LEVELS))
 
 
 def segment_of(
