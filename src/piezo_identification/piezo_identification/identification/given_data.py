@@ -110,14 +110,10 @@ def with_marked_outliers(
 def rising_with_voltage(
     recordings: Mapping[str, Data], note: Callable[[str], object],
 ) -> dict[str, Any]:
-    """Change the sign of all displacements if that of the loops, or of the creep, falls.
-
-    Fast recordings do not determine the sign, because near a resonance the displacement moves
-    against the voltage.
-    """
-    slow = [data for name in ("hysteresis", "creep") for data in of_kind(recordings, name)
-            if isinstance(data, Recording)]
-    if not slow or not displacement_falls(slow[0]):
+    """Change the sign of all displacements if that of the slowest kind of recordings falls."""
+    slowest_first = [data for name in ("hysteresis", "creep", "dynamics")
+                     for data in of_kind(recordings, name) if isinstance(data, Recording)]
+    if not slowest_first or not displacement_falls(slowest_first[0]):
         return dict(recordings)
     note("the displacement falls as the voltage rises: its sign is changed throughout")
     return {name: replace(data, gain=-data.gain) if isinstance(data, FrequencyResponse)

@@ -254,13 +254,18 @@ def _hold_s(check: RecordingCheck) -> float:
 
 
 def _dynamics(check: RecordingCheck) -> Suitability:
+    found = _motion_with_dynamics(check)
+    if found.verdict == "no" or check.sample_period_s <= waveforms.SLOWEST_FAST_ROWS_S:
+        return found
+    return Suitability("partly", "too slow for a piezo stage, which answers within milliseconds: "
+                       f"anything faster is folded into {found.reason}")
+
+
+def _motion_with_dynamics(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
     period_s = float(np.median(check.recording.sample_periods_s))
     rate = f"at {round(1.0 / period_s, 4):g} rows a second"
     voltage_v, displacement_um = check.voltage_v, check.displacement_um
-    if period_s > waveforms.SLOWEST_FAST_ROWS_S:
-        return Suitability("no", f"too slow to hold dynamics: {rate}, while stages answer within "
-                           "milliseconds")
     if waveform.kind.has_levels:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)
         if response.size < 4:

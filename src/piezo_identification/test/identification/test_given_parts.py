@@ -37,6 +37,15 @@ def test_62_points_of_static_loops_are_enough(static, record):
     assert relative_error(identified.model, static, unseen_v) < 0.01
 
 
+def test_jumps_between_many_levels_show_the_hysteresis(static, record):
+    """A tenth of the jumps are larger than two thirds of the range."""
+    known_v, unseen_v = (
+        np.append([0.0, 80.0, 0.0], np.random.default_rng(seed).uniform(0.0, 80.0, 120))
+        for seed in (5, 6))
+    identified = identify(hysteresis=record(static, np.repeat(known_v, 4), 0.5, noise_um=0.01))
+    assert relative_error(identified.model, static, unseen_v) < 0.005
+
+
 def test_samples_of_a_clipped_sensor_are_left_out(static, record):
     recorded = record(static, loops(np.arange(80.0, 0.0, -10.0), 300), 0.1, noise_um=0.01)
     highest_um = np.quantile(recorded.displacement_um, 0.9)

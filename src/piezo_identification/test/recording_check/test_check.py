@@ -234,6 +234,14 @@ def test_steps_that_ring_hold_dynamics_and_those_sampled_too_slowly_do_not(read)
     assert "too slow to hold dynamics" in slow["dynamics"].reason
 
 
+def test_ten_rows_a_second_partly_hold_the_dynamics_of_a_slow_plant(read):
+    voltage_v = np.where((np.arange(1200) // 120) % 2 == 0, 20.0, 80.0)
+    plant = suitability_for(
+        check_recording(read(voltage_v, vibrating(voltage_v, 0.1, 0.25, 0.25), 0.1)), "dynamics")
+    assert plant.verdict == "partly"
+    assert "too slow for a piezo stage" in plant.reason
+
+
 @pytest.mark.long
 def test_rows_too_slow_for_the_modes_of_a_stage_hold_no_dynamics_though_they_ring(read):
     # A mode of 400 Hz that rings for long looks as if it lagged at 50 rows a second.

@@ -38,9 +38,6 @@ LEVELS = 70
 FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
-LARGE_STEP_SHARE = 0.9
-"""Quantile of the voltage steps from sample to sample that is used as the height of a level."""
-
 
 def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
@@ -81,7 +78,7 @@ def estimate_density(
     ------
     ValueError
         If the voltage does not change or never returns, or the displacement falls where the
-        voltage rises.
+        voltage rises, both as measured and with the dynamics removed.
 
     Examples
     --------
@@ -100,10 +97,15 @@ def estimate_density(
     """
     parts = played_segments(recording)
     segments = [segment_of(part, creep, dynamics, delay_s) for part in parts]
+    if _falls(segments):
+        # The inverse of inexact dynamics may turn the sign near a resonance.
+        segments = [segment_of(part, creep, ElectricVibrationDynamics(), 0.0) for part in parts]
+        if _falls(segments):
+            raise ValueError(f"{parts[0].path}: the displacement falls where the voltage rises: "
+                             "reverse the sign of one")
     if most_rows is not None:
         every = -(-sum(segment.samples.size for segment in segments) // most_rows)
         segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
-    _check_sign(parts[0].path, segments)
     return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
                             translation_weight, most_levels, near)
 
@@ -139,14 +141,16 @@ def density_of_parts(
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     """Return the number of equal voltage steps that the recordings resolve.
 
+    A step between rows counts once, however large it is: only its ends matter to the hysteresis.
+
     Returns
     -------
     int
         Between 1 and `LEVELS`.
     """
-    steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
-    largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
-    return int(np.clip(round(range_v / largest_v), 1, LEVELS))
+    voltage_v = np.concatenate([part.voltage_v for part in parts])
+    levels = np.unique(np.round((voltage_v - voltage_v.min()) * (LEVELS / range_v)))
+    return int(np.clip(levels.size - 1, 1, LEVELS))
 
 
 def segment_of(
@@ -224,10 +228,7 @@ def _has_means(recording: Recording) -> bool:
     return recording.sample_period_s > 1.5 / recording.sample_rate_hz
 
 
-def _check_sign(path: str, segments: Sequence[HysteresisSegment]) -> None:
-    """Raise an error if the hysteresis falls when the voltage rises."""
-    products = [(segment.voltage_v - segment.voltage_v.mean()) @ segment.output_um
-                for segment in segments]
-    if sum(products) < 0.0:
-        raise ValueError(f"{path}: the displacement falls where the voltage rises: "
-                         "reverse the sign of one")
+def _falls(segments: Sequence[HysteresisSegment]) -> bool:
+    """Return whether the hysteresis falls when the voltage rises."""
+    return sum((segment.voltage_v - segment.voltage_v.mean()) @ segment.output_um
+               for segment in segments) < 0.0

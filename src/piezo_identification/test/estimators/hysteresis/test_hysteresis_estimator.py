@@ -10,6 +10,7 @@ from piezo_identification.estimators.hysteresis.density_fit import (
     hysteresis_output_um,
 )
 from piezo_identification.experiments import catalogue as experiments
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 pytestmark = pytest.mark.kernels
 
@@ -103,3 +104,15 @@ def test_a_displacement_of_the_wrong_sign_is_refused(plant, recording):
     inverted = replace(recording, displacement_um=-recording.displacement_um)
     with pytest.raises(ValueError, match="reverse the sign"):
         estimate_density(inverted, plant.creep, plant.dynamics, LEVELS)
+
+
+def test_inexact_dynamics_do_not_turn_the_sign(recording):
+    """Removed from a stage that follows at once, a slow mode turns the sign of its fast motion."""
+    time_s = 1e-3 * np.arange(2000)
+    voltage_v = 50.0 - 50.0 * np.cos(2.0 * np.pi * 100.0 * time_s)
+    fast = replace(recording.select(np.arange(recording.voltage_v.size) < 2000),
+                   voltage_v=voltage_v, displacement_um=0.2 * voltage_v, sample_rate_hz=1e3,
+                   sample_periods_s=np.full(2000, 1e-3))
+    mode = ElectricVibrationDynamics(0.0, (2.0 * np.pi * 40.0,), (0.02,))
+    found = estimate_density(fast, CreepDynamics(), mode).model().simulate(voltage_v)
+    assert np.ptp(found) == pytest.approx(20.0, rel=1e-3)
