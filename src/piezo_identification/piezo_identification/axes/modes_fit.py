@@ -12,7 +12,13 @@ from piezo_identification.axes.coupled_fit import CoupledFit, refined, softened_
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.modal_model import residues_of
 from piezo_identification.axes.mode_search import FEWEST_PERIODS
-from piezo_identification.axes.order_search import evidence_of, growing, without_weak_poles
+from piezo_identification.axes.order_search import (
+    evidence_of,
+    growing,
+    local_evidence_of,
+    with_a_further_mode,
+    without_weak_poles,
+)
 from piezo_identification.axes.sensor_delays import further_latencies, latencies
 from piezo_identification.axes.spectra import (
     Spectrum,
@@ -87,6 +93,8 @@ def fitted_modes(
                       FINAL_STEPS)
     if not all(_is_response(level) for level in levels):
         fit, everything = reweighted_fit(fit, everything, is_open=pairs is None)
+        if pairs is None and not len(fit.numbers.back):
+            fit, everything = _with_hidden_modes(fit, everything)
     upper = fit.numbers.steps.imag > 0.0
     note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
          "all axes")
@@ -114,6 +122,18 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
             if is_open:
                 fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
             check_cancelled()
+    return fit, list(spectra)
+
+
+def _with_hidden_modes(fit: CoupledFit, spectra: Sequence[Spectrum],
+                       ) -> tuple[CoupledFit, list[Spectrum]]:
+    """Return the fit with modes so close to others that the search for the order missed them."""
+    while has_time_for(FURTHER_REFINEMENT, SOFTENINGS):
+        more, weighted = reweighted_fit(
+            with_a_further_mode(fit, spectra), spectra, is_open=False)
+        if local_evidence_of(more) <= local_evidence_of(fit):
+            break
+        fit, spectra = more, weighted
     return fit, list(spectra)
 
 
