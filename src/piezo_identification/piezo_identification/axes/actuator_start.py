@@ -47,7 +47,8 @@ class StartedStage:
 
 
 def start_of_actuators(
-    fit: CoupledFit, late: np.ndarray, by_experiment: Mapping[str, Sequence[AxesRecording]],
+    fit: CoupledFit, spectra: Sequence[Spectrum], late: np.ndarray,
+    by_experiment: Mapping[str, Sequence[AxesRecording]],
     fast: Sequence[AxesRecording], pairs: int | None, note: Note, progress: Progress,
 ) -> StartedStage | None:
     """Estimate hysteresis and creep of each axis with the modes given, and then the modes, twice.
@@ -56,6 +57,8 @@ def start_of_actuators(
     ----------
     fit : CoupledFit
         Fit of the modes alone.
+    spectra : sequence of Spectrum
+        That were fitted.
     late : (n,) array of int
         Latency of each sensor.
     by_experiment : mapping of str to sequence of AxesRecording
@@ -78,7 +81,7 @@ def start_of_actuators(
     slow = [*by_experiment["creep"], *by_experiment["hysteresis"]]
     loops = by_experiment["hysteresis"] or slow
     steps = by_experiment["creep"] or slow
-    model = coupled_model(without_slow_poles(fit.numbers), late, fast)
+    model = coupled_model(without_slow_poles(fit.numbers, spectra), late, fast)
     found: list[StartedStage] = []
     densities: Sequence[DensityEstimate | None] = ()
     for number, levels in enumerate(LEVELS):

@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.actuator_drive import with_drive
 from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
-from piezo_identification.axes.order_search import TAPS, evidence_of
+from piezo_identification.axes.order_search import TAPS, local_evidence_of
 from piezo_identification.axes.spectra import Spectrum, driven_otherwise, reweighted, spectrum_of
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
@@ -22,7 +22,7 @@ from piezo_recorder.reading.axes import AxesRecording
 SWEEPS = 2
 """Times that the lag of each axis is sought beside those of the others."""
 
-SPACING = 2.0
+SPACING = 1.5
 """Ratio of the lags that are tried; the best one is refined, also by the last fit."""
 
 
@@ -45,7 +45,7 @@ def with_amplifier_lags(model: CoupledModel, steps: ComplexArray,
     fit = _fit(spectra, steps)
     spectra = [reweighted(*each) for each in zip(spectra, fit.residual, strict=True)]
     light = np.abs(model.poles_rad_per_s[model.poles_rad_per_s.imag > 0.0])
-    shortest_s = model.sample_period_s / SPACING
+    shortest_s = model.sample_period_s / SPACING**3  # shorter ones settle within the sample
     longest_s = 1.0 / light.min(initial=np.abs(model.poles_rad_per_s).max())
     tried_s = np.exp(np.arange(np.log(shortest_s), np.log(longest_s), np.log(SPACING)))
 
@@ -58,17 +58,16 @@ def with_amplifier_lags(model: CoupledModel, steps: ComplexArray,
 def _best_of_axis(model: CoupledModel, axis: int, tried_s: FloatArray,
                   fitted: Callable[[CoupledModel], CoupledFit]) -> CoupledModel:
     """Return the model with the best lag of an axis, or without one."""
-    def misfit(lag_s: float) -> float:
-        return fitted(_lagging(model, axis, lag_s)).misfit
+    def evidence(lag_s: float) -> float:
+        # The lag shows where the modes resonate, where what it explains was taken for noise.
+        return local_evidence_of(fitted(_lagging(model, axis, lag_s)))
 
-    best_s = min(tried_s, key=misfit)
-    refined_s = np.exp(minimize_scalar(
-        lambda logarithm: misfit(np.exp(logarithm)), method="bounded",
-        bounds=np.log([best_s / SPACING, best_s * SPACING]), options={"xatol": 0.05}).x)
-    prompt, lagging = (_lagging(model, axis, each) for each in (0.0, refined_s))
-    without, beside = fitted(prompt), fitted(lagging)
-    cost = 0.5 * np.log(without.rows)
-    return lagging if evidence_of(beside) - evidence_of(without) > cost else prompt
+    best_s = max(tried_s, key=evidence)
+    refined_s = float(np.exp(minimize_scalar(
+        lambda logarithm: -evidence(np.exp(logarithm)), method="bounded",
+        bounds=np.log([best_s / SPACING, best_s * SPACING]), options={"xatol": 0.05}).x))
+    cost = 0.5 * np.log(fitted(model).rows)
+    return _lagging(model, axis, refined_s * (evidence(refined_s) - evidence(0.0) > cost))
 
 
 def _lagging(model: CoupledModel, axis: int, lag_s: float) -> CoupledModel:

@@ -161,7 +161,8 @@ def _of_recordings(
     fit, spectra, late = _fitted_modes(fast, pairs, note, progress)
     started = None
     if by_experiment["creep"] or by_experiment["hysteresis"]:
-        started = start_of_actuators(fit, late, by_experiment, fast, pairs, note, progress)
+        started = start_of_actuators(
+            fit, spectra, late, by_experiment, fast, pairs, note, progress)
         alike = [each for each in recordings if _is_of_period(each, fast[0].sample_period_s)]
         if started is None and len(alike) > len(fast):
             fast = alike

@@ -11,7 +11,14 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.axes.coupled_fit import CoupledFit, refined, softened_numbers
 from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.modal_model import residues_of
-from piezo_identification.axes.order_search import evidence_of, growing, without_weak_poles
+from piezo_identification.axes.mode_search import FEWEST_PERIODS
+from piezo_identification.axes.order_search import (
+    evidence_of,
+    growing,
+    local_evidence_of,
+    with_a_further_mode,
+    without_weak_poles,
+)
 from piezo_identification.axes.sensor_delays import further_latencies, latencies
 from piezo_identification.axes.spectra import (
     Spectrum,
@@ -79,13 +86,15 @@ def fitted_modes(
     reference = _reference(levels)
     fit, everything = _best_fit(reference, levels, start, note, progress)
     if behind_actuators:
-        numbers = without_slow_poles(fit.numbers)
+        numbers = without_slow_poles(fit.numbers, everything)
         highest = max(np.angle(spectrum.z).max() for spectrum in everything)
         # No line shows a resonance beyond the lines; poles there represent hysteresis.
         fit = refined(numbers.with_poles(np.angle(numbers.steps) <= highest), everything,
                       FINAL_STEPS)
     if not all(_is_response(level) for level in levels):
         fit, everything = reweighted_fit(fit, everything, is_open=pairs is None)
+        if pairs is None and not len(fit.numbers.back):
+            fit, everything = _with_hidden_modes(fit, everything)
     upper = fit.numbers.steps.imag > 0.0
     note(f"{np.count_nonzero(upper)} modes and {np.count_nonzero(~upper)} real poles, shared by "
          "all axes")
@@ -116,19 +125,31 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
     return fit, list(spectra)
 
 
-def without_slow_poles(numbers: CoupledNumbers) -> CoupledNumbers:
+def _with_hidden_modes(fit: CoupledFit, spectra: Sequence[Spectrum],
+                       ) -> tuple[CoupledFit, list[Spectrum]]:
+    """Return the fit with modes so close to others that the search for the order missed them."""
+    while has_time_for(FURTHER_REFINEMENT, SOFTENINGS):
+        more, weighted = reweighted_fit(
+            with_a_further_mode(fit, spectra), spectra, is_open=False)
+        if local_evidence_of(more) <= local_evidence_of(fit):
+            break
+        fit, spectra = more, weighted
+    return fit, list(spectra)
+
+
+def without_slow_poles(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> CoupledNumbers:
     """Return the numbers without poles that stand for hysteresis and creep."""
-    lowest = lowest_resonance(numbers)
+    lowest = lowest_resonance(numbers, spectra)
     return replace(numbers.with_poles(np.abs(np.log(numbers.steps)) >= lowest),
                    slowest=SLOWEST_POLE * lowest)
 
 
-def lowest_resonance(numbers: CoupledNumbers) -> float:
+def lowest_resonance(numbers: CoupledNumbers, spectra: Sequence[Spectrum]) -> float:
     """Return the rate of the slowest light mode that resonates, over the sample rate.
 
-    It resonates if it moves an axis farther at its frequency than all poles do at rest: a light
-    pole that does not may stand for hysteresis at a single line. Where none resonates, that of the
-    slowest pole is returned.
+    It resonates if it moves an axis farther at its frequency than all poles do at rest, and if the
+    spectra contain `FEWEST_PERIODS` of it: other light poles may stand for hysteresis at a few
+    lines. Where none resonates, that of the slowest pole is returned.
     """
     steps, rates = numbers.steps, np.log(numbers.steps)
     light = (steps.imag > 0.0) & (-rates.real < LIGHT * np.abs(rates))
@@ -136,7 +157,9 @@ def lowest_resonance(numbers: CoupledNumbers) -> float:
     moved = np.abs(residues).max(axis=(1, 2)) / (1.0 - np.abs(steps))
     at_rest = np.where(steps.imag > 0.0, 2.0, 1.0)[:, None, None] * residues / (
         1.0 - steps[:, None, None])
-    resonating = light & (moved > np.abs(at_rest.real.sum(axis=0)).max())
+    lines_apart = min(np.diff(np.angle(each.z), prepend=0.0).min() for each in spectra)
+    resonating = (light & (moved > np.abs(at_rest.real.sum(axis=0)).max())
+                  & (np.abs(rates) > FEWEST_PERIODS * lines_apart))
     return float(np.abs(rates[resonating] if resonating.any() else rates).min())
 
 
@@ -216,5 +239,3 @@ def _best_fit(
         best = refined(best.numbers, everything, FINAL_STEPS)
         check_cancelled()
     return best, everything
-
-

@@ -2,6 +2,7 @@
 """Linear models of several axes with more and more modes."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_fit import CoupledFit, covariances, linear_numbers, refined
 from piezo_identification.axes.shared_poles import FIRST_DAMPING, relocated
-from piezo_identification.axes.spectra import Spectrum, smoothed
+from piezo_identification.axes.spectra import Spectrum, beside_resonances, smoothed
 from piezo_identification.fitting.model_weights import occam_penalty
 
 TAPS = 2
@@ -52,7 +53,25 @@ def evidence_of(fit: CoupledFit) -> float:
     The scale of the errors is unknown: it includes what the model does not describe.
     """
     likelihood = -0.5 * fit.rows * np.log(fit.misfit)
-    return float(likelihood - occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows))
+    return float(likelihood - _cost(fit))
+
+
+def local_evidence_of(fit: CoupledFit) -> float:
+    """Return the evidence of a refined fit whose deviations are its own residual.
+
+    The deviations that were estimated beside a missing mode are too large to show it.
+    """
+    log_likelihood = -sum(np.sum(np.log(np.maximum(
+        smoothed(np.abs(residual) ** 2), np.finfo(float).tiny))) for residual in fit.residual)
+    return float(log_likelihood - _cost(fit))
+
+
+def with_a_further_mode(fit: CoupledFit, spectra: Sequence[Spectrum]) -> CoupledFit:
+    """Return the fit with a pair of poles more, where the residual rises most above its floor."""
+    floored = [beside_resonances(*each) for each in zip(spectra, fit.residual, strict=True)]
+    steps = _with_more(fit, floored, 1)
+    numbers = linear_numbers(spectra, relocated(spectra, steps.size, TAPS, steps, MOVES), TAPS)
+    return refined(replace(numbers, slowest=fit.numbers.slowest), spectra, 0)
 
 
 def significances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> FloatArray:
@@ -82,7 +101,7 @@ def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int)
     """
     while fit.numbers.steps.size > 1 and not is_time_up():
         found = significances(fit, spectra)
-        if found.min() > occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows):
+        if found.min() > _cost(fit):
             break  # more than all numbers cost
         weakest = int(np.argmin(found))
         kept = np.arange(fit.numbers.steps.size) != weakest
@@ -91,6 +110,10 @@ def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int)
             break
         fit = fewer
     return fit
+
+
+def _cost(fit: CoupledFit) -> float:
+    return occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows)
 
 
 def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:

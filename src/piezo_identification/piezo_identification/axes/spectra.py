@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.axes.axes_response import AxesResponse
@@ -15,6 +15,9 @@ from piezo_recorder.reading.axes import AxesRecording
 SMOOTHED_LINES = 31
 """Lines over which a spectral density is averaged. The scatter of six realisations of three axes is
 then known to 10 %; a mode with a damping ratio of 1 % is about as wide at 1 s of recording."""
+
+FLOOR_LINES = 101
+"""Lines most of which lie beside a resonance that is some lines wide."""
 
 SAME_LEVEL = 1.1
 """Ratio of amplitudes up to which recordings are of one level: the gain of an actuator changes by a
@@ -164,6 +167,13 @@ def reweighted(spectrum: Spectrum, residual: ComplexArray) -> Spectrum:
     """Return a spectrum whose deviations are the residual of a fit, shape (K, n)."""
     deviation = np.sqrt(smoothed(np.abs(residual) ** 2))
     return replace(spectrum, weight=1.0 / np.maximum(deviation, np.finfo(float).tiny))
+
+
+def beside_resonances(spectrum: Spectrum, residual: ComplexArray) -> Spectrum:
+    """Return a spectrum whose deviations are the residual of a fit beside narrow resonances."""
+    square = median_filter(np.abs(residual) ** 2, (min(FLOOR_LINES, len(residual)), 1),
+                           mode="nearest")
+    return replace(spectrum, weight=1.0 / np.sqrt(np.maximum(square, np.finfo(float).tiny)))
 
 
 def spectrum_of(recording: AxesRecording) -> Spectrum:

@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from piezo_identification.axes.amplifier_lags import with_amplifier_lags
+from piezo_identification.axes.modal_model import modal_model
 from piezo_models.axes.actuator import Actuator
 from piezo_recorder.reading.axes import AxesRecording
 
@@ -18,6 +19,8 @@ from test_whole_axes_fit import NUMBERS, PERIOD_S, TRUE, actuator
 
 LAG_S, NOISE_UM, FINER = 2e-4, 1e-4, 20
 PROMPT = replace(TRUE, actuators=(actuator(0), actuator(1)))
+LIGHT = np.exp(PERIOD_S * np.array([-6.0 + 1900.0j, -9.0 + 2800.0j]))
+"""Of the modes of a stage whose errors are almost all at its resonances."""
 
 
 def fast_v(seed, samples=1500):
@@ -28,28 +31,23 @@ def fast_v(seed, samples=1500):
     return voltage_v
 
 
-def followed_v(voltage_v):
+def followed_v(voltage_v, lag_s=LAG_S):
     """Return what the amplifier puts out at the ends of the samples, by finer steps."""
-    kept = np.exp(-PERIOD_S / FINER / LAG_S)
+    kept = np.exp(-PERIOD_S / FINER / lag_s)
     fine_v, _ = lfilter([1.0 - kept], [1.0, -kept], np.repeat(voltage_v, FINER),
                         zi=[kept * voltage_v[0]])
     return fine_v[FINER - 1::FINER]
 
 
-def recordings():
-    """Return recordings in which the hysteresis of x follows a lagging voltage."""
+def recordings(stage=PROMPT, lag_s=LAG_S):
+    """Return recordings in which the hysteresis of x follows a lagging voltage, and moves modes."""
     found = []
     for seed in range(2):
         voltage_v = fast_v(seed)
         drive_v = PROMPT.drive_v(voltage_v)
-        bare = Actuator(PROMPT.actuators[0].hysteresis)
-        lagging_v = bare.drive_v(followed_v(voltage_v[:, 0]), PERIOD_S)
-        # What the modes, which contain the lag, take for their drive.
-        kept = np.exp(-PERIOD_S / LAG_S)
-        before_v = np.append(lagging_v[0], lagging_v[:-1])
-        drive_v[:, 0] += (lagging_v - kept * before_v) / (1.0 - kept) - bare.drive_v(
-            voltage_v[:, 0], PERIOD_S)
-        displacement_um = replace(PROMPT, actuators=()).simulate(drive_v)
+        drive_v[:, 0] = PROMPT.actuators[0].drive_v(
+            followed_v(voltage_v[:, 0], lag_s), PERIOD_S)
+        displacement_um = replace(stage, actuators=()).simulate(drive_v)
         displacement_um += NOISE_UM * np.random.default_rng(9 + seed).normal(size=drive_v.shape)
         found.append(AxesRecording(f"fast {seed}", ("x", "y"), PERIOD_S, voltage_v,
                                    displacement_um))
@@ -59,6 +57,15 @@ def recordings():
 def test_lag_in_front_of_the_hysteresis_is_found_on_the_axis_that_has_one():
     found = with_amplifier_lags(PROMPT, NUMBERS.steps, recordings())
     assert found.actuators[0].lag_s == pytest.approx(LAG_S, rel=0.1)
+    assert found.actuators[1].lag_s == 0.0
+
+
+def test_lag_shorter_than_a_sample_is_found_where_errors_are_at_the_resonances():
+    numbers = replace(NUMBERS, steps=LIGHT, gains=NUMBERS.gains[:4])
+    light = modal_model(numbers, TRUE.latency_samples, TRUE.axes, PERIOD_S)
+    light = replace(light, actuators=PROMPT.actuators)
+    found = with_amplifier_lags(light, LIGHT, recordings(light, 3e-5)[:1])
+    assert found.actuators[0].lag_s == pytest.approx(3e-5, rel=0.1)
     assert found.actuators[1].lag_s == 0.0
 
 

@@ -62,6 +62,17 @@ def test_modes_are_found(identified):
         assert off.imag < 3e-5 * frequency, "as the noise allows"
 
 
+def test_modes_that_are_closer_than_their_width_are_found(monkeypatch):
+    frequencies = 2.0 * np.pi * np.array([434.2, 436.4, 720.0])
+    monkeypatch.setattr(flexure, "FREQUENCY_RAD_PER_S", frequencies)
+    monkeypatch.setattr(flexure, "DAMPING", np.array([0.0077, 0.0033, 0.02]))
+    poles = identify_several_axes([
+        flexure.recording(columns, f"experiment {number}")
+        for number, columns in enumerate(flexure.experiments(1024))]).model.poles_rad_per_s
+    light = np.sort(np.abs(poles[-poles.real < 0.05 * np.abs(poles)]))
+    np.testing.assert_allclose(light, frequencies, rtol=1e-3)
+
+
 def test_every_entry_of_the_coupling_is_within_its_interval(identified):
     coupling = identified.coupling
     driven = coupling.frequency_hz < 2500.0
