@@ -31,7 +31,8 @@ class SearchSettings:
     steps: int = 12
     """Largest number of steps of the fit from each start and of the last fit."""
     screening_steps: int = 2
-    """Largest number of steps for each structure that is tried."""
+    """Largest number of steps for each structure that is tried; only one if that leaves it far
+    behind."""
     followed_steps: int = 6
     """Largest number of further steps for a promising structure."""
     followed: int = 2
@@ -264,13 +265,11 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
 
 def _raced(problem: WholeModel, structure: Structure, best: WholeFit, steps: int) -> WholeFit:
     """Fit a structure, but end if it would not come near the best fit with gains as the last."""
-    fit = problem.fit(structure.model, structure.delay_s, min(steps, SETTINGS.screening_steps),
-                      best.density_changes)
-    for left in range(steps - SETTINGS.screening_steps, 0, -SETTINGS.screening_steps):
-        behind = -fit.evidence_over(best)
-        if fit.has_converged or behind > SETTINGS.promise + left * fit.gain:
-            break
-        fit = problem.again(fit, min(left, SETTINGS.screening_steps))
+    fit, left = problem.fit(structure.model, structure.delay_s, 1, best.density_changes), steps - 1
+    while left > 0 and not fit.has_converged and (
+            -fit.evidence_over(best) < SETTINGS.promise + left * fit.gain):
+        more = min(left, SETTINGS.screening_steps)
+        fit, left = problem.again(fit, more), left - more
     return fit
 
 

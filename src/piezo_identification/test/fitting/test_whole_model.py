@@ -290,6 +290,29 @@ def test_other_starts_are_tried_unless_all_is_surely_noise(wrong, over_noise, ar
     assert (len(tried) > 2) == are_tried
 
 
+@pytest.mark.parametrize("behind, is_continued", [(50.0, True), (5000.0, False)])
+def test_a_structure_that_one_step_leaves_far_behind_gets_no_other(wrong, behind, is_continued):
+    best = FitOfEvidence(model=wrong, delay_s=None, numbers=1, evidence=0.0, has_converged=True,
+                         density_changes=None, weights_of_effects=lambda: np.zeros(0))
+    begun_with, continued = [], []
+
+    def fit(model, delay_s, steps, changes=None):
+        begun_with.append(steps)
+        return FitOfEvidence(model=model, delay_s=delay_s, numbers=1, evidence=-behind,
+                             has_converged=False, gain=1.0)
+
+    def again(fit, steps):
+        if fit is not best:
+            continued.append(fit)
+        return fit
+
+    searched(SimpleNamespace(sample_period_s=1e-4, fit=fit, again=again, about_here=lambda: None,
+                             over_noise=lambda fit: np.array([1.0]),
+                             fastest_over_noise=lambda fit: 1.0), best)
+    assert begun_with and set(begun_with) == {1}
+    assert bool(continued) == is_continued
+
+
 @pytest.mark.parametrize("zeros, continued", [
     ((0.11, 1.1), True), ((0.11, 0.99), False), ((0.099, 1.1), True)])
 def test_a_start_continues_the_creep_unless_its_last_pair_has_the_other_sign(
