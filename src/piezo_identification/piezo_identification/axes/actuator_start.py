@@ -98,8 +98,8 @@ def start_of_actuators(
         progress(LAGS, 0.75)
         lagging = with_amplifier_lags(best.model, best.fit.numbers.steps, fast)
         if any(each.lag_s for each in lagging.actuators):
-            found = [best, _behind(lagging, fast, pairs)]
-            best = min(found, key=lambda each: _residual(each.model, recordings))
+            # Its gains may fit the slow recordings worse until all parameters are fitted together.
+            best = _behind(lagging, fast, pairs)
     for axis, actuator in zip(model.axes, best.model.actuators, strict=True):
         shown = "hysteresis" if actuator.hysteresis else "no hysteresis"
         lag = f", an amplifier lag of {actuator.lag_s:.3g} s" if actuator.lag_s else ""

@@ -28,7 +28,11 @@ from piezo_identification.axes.predict_axes import (
 )
 from piezo_identification.axes.spectra import played_lines
 from piezo_identification.estimators.estimate import FINEST
-from piezo_identification.fitting.clustered_covariance import clustered_covariance
+from piezo_identification.fitting.clustered_covariance import (
+    clustered_covariance,
+    jackknife_variances,
+    widened,
+)
 from piezo_identification.fitting.dataset import SPLIT, split_rows
 from piezo_identification.fitting.evidence import INDEPENDENT, correlated_scale
 from piezo_identification.fitting.joint_errors import SETTINGS
@@ -202,15 +206,18 @@ class AxesErrors:
     def covariance(self, vector: FloatArray) -> FloatArray:
         """Return the covariance of the changes, with the prior of the hysteresis alone.
 
-        Errors may be correlated within a stretch of a recording.
+        Errors may be correlated within a stretch of a recording, or recur throughout it: where
+        recordings contradict each other, no number is known better than they agree.
         """
         residual, jacobian = self.linearised(vector)
-        jacobian[-vector.size:][~self._is_hysteresis] = 0.0
         n = len(self._free.model.axes)
-        of_rows = [(number * n + axis) * SPLIT.stretches
-                   + np.arange(part.band.size) * SPLIT.stretches // part.band.size
-                   for number, part in enumerate(self._parts) for axis in range(n)]
-        return clustered_covariance(jacobian, residual, np.concatenate(of_rows))
+        of_rows = np.concatenate([
+            (number * n + axis) * SPLIT.stretches
+            + np.arange(part.band.size) * SPLIT.stretches // part.band.size
+            for number, part in enumerate(self._parts) for axis in range(n)])
+        between = jackknife_variances(jacobian, residual, of_rows // SPLIT.stretches)
+        jacobian[-vector.size:][~self._is_hysteresis] = 0.0
+        return widened(clustered_covariance(jacobian, residual, of_rows), between)
 
     def _squares_um2(self, vector: FloatArray) -> list[FloatArray]:
         """Return the mean square error plus squared accuracy of each recording, (bands, n)."""

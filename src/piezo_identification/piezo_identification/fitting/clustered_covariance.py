@@ -32,9 +32,34 @@ def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
     inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True) / widths[:, None]
     pushes = scaled[:rows] * residual[:rows, None] @ inverse.T
     short, long = (_of_clusters(pushes, number) for number in (cluster, cluster // MANY))
-    variances = np.maximum(np.diag(short), np.finfo(float).tiny)
-    wider = np.sqrt(np.maximum(np.diag(long) / variances, 1.0))
-    return short * np.outer(wider, wider)
+    return widened(short, np.diag(long))
+
+
+def widened(covariance: FloatArray, variances: FloatArray) -> FloatArray:
+    """Return a covariance with the given variances where these are larger, (m, m)."""
+    known = np.maximum(np.diag(covariance), np.finfo(float).tiny)
+    wider = np.sqrt(np.maximum(variances / known, 1.0))
+    return covariance * np.outer(wider, wider)
+
+
+def jackknife_variances(jacobian: FloatArray, residual: FloatArray,
+                        cluster: NDArray[np.intp]) -> FloatArray:
+    """Return the variances of parameters by fits without each cluster in turn, (m,) (Efron 1982).
+
+    They hold for a few clusters that contradict each other. The arguments are those of
+    `clustered_covariance`; the prior has to determine what no other cluster does.
+    """
+    widths = np.linalg.norm(jacobian, axis=0)
+    widths[widths == 0.0] = 1.0
+    scaled, numbers = jacobian / widths, np.unique(cluster)
+    square, changes = scaled.T @ scaled, np.zeros((numbers.size, widths.size))
+    for change, number in zip(changes, numbers, strict=True):
+        rows = np.flatnonzero(cluster == number)
+        without = square - scaled[rows].T @ scaled[rows]
+        change[:] = np.linalg.lstsq(without, scaled[rows].T @ residual[rows], rcond=None)[0]
+    variances: FloatArray = (numbers.size - 1) / numbers.size * np.sum(
+        (changes / widths) ** 2, axis=0)
+    return variances
 
 
 def _of_clusters(pushes: FloatArray, cluster: NDArray[np.intp]) -> FloatArray:

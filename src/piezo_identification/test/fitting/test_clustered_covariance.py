@@ -4,7 +4,10 @@
 import numpy as np
 import pytest
 
-from piezo_identification.fitting.clustered_covariance import clustered_covariance
+from piezo_identification.fitting.clustered_covariance import (
+    clustered_covariance,
+    jackknife_variances,
+)
 
 CLUSTERS, ROWS = 60, 20
 
@@ -35,4 +38,21 @@ def test_errors_that_are_alike_for_longer_than_a_cluster_widen_it():
         errors = np.repeat(generator.normal(size=20), 10 * ROWS)
         found.append(errors.mean())
         stated.append(clustered_covariance(-columns, errors - found[-1], cluster)[0, 0])
+    assert np.mean(stated) == pytest.approx(np.var(found), rel=0.25)
+
+
+def test_recordings_that_contradict_each_other_widen_it_though_they_are_few():
+    generator = np.random.default_rng(8)
+    recording = np.repeat(np.arange(4), 50 * ROWS)
+    voltage = generator.normal(size=recording.size)
+    columns = np.column_stack([voltage, np.ones(recording.size)])
+    found, stated = [], []
+    for _ in range(300):
+        gains = 1.0 + 0.1 * generator.normal(size=4)
+        motion = gains[recording] * voltage + 0.1 * generator.normal(size=recording.size)
+        sizes = np.linalg.lstsq(columns, motion, rcond=None)[0]
+        residual = motion - columns @ sizes
+        found.append(sizes[0])
+        with_prior = np.vstack([-columns, 1e-6 * np.eye(2)]), np.append(residual, [0.0, 0.0])
+        stated.append(jackknife_variances(*with_prior, recording)[0])
     assert np.mean(stated) == pytest.approx(np.var(found), rel=0.25)
