@@ -39,6 +39,13 @@ FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
 
+STANDING_SHARE = 0.5
+"""Smallest share of rows with nearly the voltage of the row before for which levels count."""
+
+LARGE_STEP_SHARE = 0.9
+"""Quantile of the voltage steps from sample to sample that is used as the height of a level."""
+
+
 def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
@@ -141,7 +148,8 @@ def density_of_parts(
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
     """Return the number of equal voltage steps that the recordings resolve.
 
-    A step between rows counts once, however large it is: only its ends matter to the hysteresis.
+    Of a voltage that stands in most rows, the levels count: only the ends of a jump matter to the
+    hysteresis. Of one that moves, rows are as far apart as most of its steps are high.
 
     Returns
     -------
@@ -149,8 +157,12 @@ def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
         Between 1 and `LEVELS`.
     """
     voltage_v = np.concatenate([part.voltage_v for part in parts])
-    levels = np.unique(np.round((voltage_v - voltage_v.min()) * (LEVELS / range_v)))
-    return int(np.clip(levels.size - 1, 1, LEVELS))
+    steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
+    if np.mean(steps_v < range_v / LEVELS) >= STANDING_SHARE:
+        levels = np.unique(np.round((voltage_v - voltage_v.min()) * (LEVELS / range_v)))
+        return int(np.clip(levels.size - 1, 1, LEVELS))
+    largest_v = float(np.quantile(steps_v[steps_v > 0.0], LARGE_STEP_SHARE))
+    return int(np.clip(round(range_v / largest_v), 1, LEVELS))
 
 
 def segment_of(
