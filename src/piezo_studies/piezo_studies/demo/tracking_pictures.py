@@ -18,7 +18,9 @@ from piezo_common.picture_style import (
 SHOWN_PERIODS = 2
 SPECTRUM_HZ = (1.0, 20000.0)
 SMALLEST_AMPLITUDE_V = 1e-6
-EXTENDED = {"color": GREEN, "linestyle": "-", "linewidth": 2.4}
+# Broad and below the composite line, which it would cover where the model lacks nothing.
+EXTENDED = {"color": GREEN, "linestyle": "-", "linewidth": 5.0, "alpha": 0.6, "markersize": 10.0,
+            "zorder": 1.5}
 TRUE_POSITION = {"color": GREEN, "linestyle": (0, (1, 2)), "linewidth": 1.0,
                  "markerfacecolor": "white"}
 MODE_MARKERS = {"open_loop": "s", "feedforward": "^", "composite": "o"}
