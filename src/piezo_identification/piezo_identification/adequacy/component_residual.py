@@ -42,7 +42,7 @@ from piezo_identification.estimators.dynamics.generator_signals import (
     moved_edges,
 )
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.response_hold import of_the_stage
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_identification.fitting.measured_response import best_gain
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
@@ -258,9 +258,7 @@ def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> Compone
 
 def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidual:
     """Return the residual of real and imaginary parts, scaled to the travel of the model."""
-    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
-    system, delay_s = behind_lags(model.linear(), lags)
-    measured = without_hold(data, system, delay_s)
+    measured = of_the_stage(data, model)
     modelled = model.small_signal_response(measured.frequency_hz)
     gain = best_gain(model, modelled, measured.gain)
     low_um, high_um = model.hysteresis.output_range_um

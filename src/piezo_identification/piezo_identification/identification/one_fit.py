@@ -16,11 +16,10 @@ from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import played, square_part, two_levels
 from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.response_hold import of_the_stage
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
-from piezo_identification.fitting.measured_response import MeasuredResponse
 from piezo_identification.fitting.structure_search import (
     SETTINGS,
     Structure,
@@ -35,7 +34,6 @@ from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail
 from piezo_identification.simulation.past_search import is_long_enough
-from piezo_identification.simulation.sampled_response import behind_lags, leading_lags
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -247,7 +245,8 @@ def fitted_together(
         problem = WholeModel(
             fitted.model, list(used.values()),
             [read_late_s[name] for name in parts], late_s,
-            [_measured_response(each, fitted.model) for each in responses])
+            [ResponseSearch(of_the_stage(each, fitted.model)).measured_response()
+             for each in responses])
     except ValueError as error:
         note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
@@ -276,13 +275,6 @@ def read_later(read_late_s: Mapping[str, float], fit: WholeFit) -> dict[str, flo
     """Return when rows are read, in s: a negative delay is added to the given times."""
     later_s = max(0.0, -(fit.delay_s or 0.0))
     return {name: late_s + later_s for name, late_s in read_late_s.items()}
-
-
-def _measured_response(measured: FrequencyResponse, model: StageModel) -> MeasuredResponse:
-    """Return a response with its noise and without its hold, whose aliases the model determines."""
-    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
-    return ResponseSearch(
-        without_hold(measured, *behind_lags(model.linear(), lags))).measured_response()
 
 
 def _late_s(read_at: Mapping[str, float], parts: Mapping[str, Recording]) -> float:

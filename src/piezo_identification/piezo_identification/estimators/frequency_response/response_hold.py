@@ -12,7 +12,12 @@ import control
 import numpy as np
 
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.simulation.sampled_response import delayed_zoh
+from piezo_identification.simulation.sampled_response import (
+    behind_lags,
+    delayed_zoh,
+    leading_lags,
+)
+from piezo_models.cascade import StageModel
 
 
 def hold_response(frequency_hz: np.ndarray, hold_s: float) -> np.ndarray:
@@ -49,3 +54,9 @@ def without_hold(measured: FrequencyResponse, system: control.StateSpace | None 
         factor = sampled_response(system, delay_s, frequency_hz, hold_s) / (
             system(s, squeeze=True) * np.exp(-s * delay_s))
     return replace(measured, gain=measured.gain / factor, hold_s=0.0)
+
+
+def of_the_stage(measured: FrequencyResponse, model: StageModel) -> FrequencyResponse:
+    """Return a measured response without its hold, whose aliases a model determines."""
+    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), 1)
+    return without_hold(measured, *behind_lags(model.linear(), lags))
