@@ -91,7 +91,7 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     model = identified.model
     low_um, high_um = model.hysteresis.output_range_um
     visited = ""
-    if not model.hysteresis.density_um_per_v2.any():
+    if model.hysteresis.is_line:
         visited = ", without hysteresis"
     elif identified.visited is not None:
         visited = (f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane "

@@ -337,20 +337,21 @@ class JointErrors:
                   columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         point = self._at(vector)
         squares = self.squares_um2(vector) + self.accuracy_um**2
+        sizes = [np.count_nonzero(fitted) for fitted in (*self._fitted, *self._at_frequencies)]
+        weights, of_responses = np.split(
+            np.sqrt(self._counts / (sizes * squares)), [len(self._fitted)])
         residuals, jacobians = [], []
-        for index, (fitted, square) in enumerate(zip(self._fitted, squares, strict=False)):
-            weight = np.sqrt(self._counts[index] / (np.count_nonzero(fitted) * square))
+        for index, (fitted, weight) in enumerate(zip(self._fitted, weights, strict=True)):
             remaining = point.nuisance[index].projected_out_of(columns[index])
             moved = self._moved_with_rates(point, index)
             remaining[:, : moved.shape[1]] += moved
             residuals.append(weight * point.residual_um[index][fitted])
             jacobians.append(-weight * remaining[fitted])
-        for number, (residual, fitted) in enumerate(zip(
-                point.of_responses, self._at_frequencies, strict=True), len(self._fitted)):
-            weight = np.sqrt(
-                self._counts[number] / (np.count_nonzero(fitted) * squares[number]))
+        for response, residual, fitted, weight in zip(
+                self._responses, point.of_responses, self._at_frequencies, of_responses,
+                strict=True):
             residuals.append(weight * residual[fitted])
-            jacobians.append(weight * self._of_response(number, vector)[fitted])
+            jacobians.append(weight * self._of_response(response, residual, vector)[fitted])
         prior = np.eye(self.count, vector.size) * self._prior[:, None]
         return (np.concatenate([*residuals, self._prior * vector[: self.count]]),
                 np.vstack([*jacobians, prior]))
@@ -379,10 +380,9 @@ class JointErrors:
                 each.residual(model) for each in self._responses])
         return self._points[key]
 
-    def _of_response(self, number: int, vector: FloatArray) -> FloatArray:
+    def _of_response(self, response: MeasuredResponse, unmoved: FloatArray,
+                     vector: FloatArray) -> FloatArray:
         """Return the derivatives of the error of a response by the unknowns, numerically."""
-        response = self._responses[number - len(self._fitted)]
-        unmoved = self._at(vector).of_responses[number - len(self._fitted)]
         # Its gain is free, so it does not depend on the hysteresis.
         physical = physical_count(self.dataset.model) if self.count else 0
         columns = np.zeros((unmoved.size, vector.size))

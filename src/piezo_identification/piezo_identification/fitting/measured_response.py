@@ -51,8 +51,9 @@ class MeasuredResponse:
     @property
     def stretch(self) -> NDArray[np.intp]:
         """Return the number of the stretch of each value of `residual`, (2 N,)."""
-        values = 2 * self.frequency_hz.size
-        return np.arange(values) // 2 * SPLIT.stretches // max(values // 2, SPLIT.stretches)
+        count = self.frequency_hz.size
+        return np.repeat(
+            np.arange(count) * SPLIT.stretches // max(count, SPLIT.stretches), 2)
 
     @property
     def for_estimation(self) -> BoolArray:
@@ -73,6 +74,6 @@ def best_gain(model: StageModel, modelled: ComplexArray, measured: ComplexArray)
     same angle at all frequencies.
     """
     along = np.vdot(modelled, measured)
-    most_rad = MOST_LOSS_RAD if model.hysteresis.density_um_per_v2.any() else 0.0
+    most_rad = 0.0 if model.hysteresis.is_line else MOST_LOSS_RAD
     turn = np.exp(1j * np.clip(np.angle(along), -most_rad, 0.0))
     return complex((along * turn.conj()).real / np.vdot(modelled, modelled).real * turn)

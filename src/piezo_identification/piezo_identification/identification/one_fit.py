@@ -136,7 +136,7 @@ class _Search:
 
         Hysteresis estimated from other recordings may be an artefact of incomplete dynamics.
         """
-        if self.new_loops is not None or not state.best.model.hysteresis.density_um_per_v2.any():
+        if self.new_loops is not None or state.best.model.hysteresis.is_line:
             return state
         with while_time_lasts("a line in place of the hysteresis"):
             check_cancelled()

@@ -165,7 +165,8 @@ class PreisachModel:
         return bool(np.any(self.density_um_per_v2 < 0) or np.any(self.reversible_um_per_v < 0))
 
     @cached_property
-    def _is_line(self) -> bool:
+    def is_line(self) -> bool:
+        """True if the output does not depend on the past."""
         return not self.density_um_per_v2.any()
 
     @cached_property
@@ -246,7 +247,7 @@ class PreisachModel:
         Simulations add it, as a line that was identified on a small range can be extrapolated.
         `simulate` and `invert` do not, as a stage is not driven beyond the identified voltages.
         """
-        if not self._is_line:
+        if not self.is_line:
             return np.broadcast_to(0.0, voltage_v.shape)
         low_um_per_v, high_um_per_v = self.reversible_um_per_v[[0, -1]]
         return np.asarray(low_um_per_v * np.minimum(voltage_v - self.voltage_min_v, 0.0)

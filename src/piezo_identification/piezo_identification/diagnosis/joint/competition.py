@@ -341,9 +341,9 @@ def _with_model(dataset: Dataset, model: StageModel, has_other_parameters: bool)
 
 def is_plain(model: StageModel) -> bool:
     """Return whether a model already is just a line and a mode."""
-    return not (model.hysteresis.density_um_per_v2.any() or model.creep.poles_rad_per_s
-                or model.dynamics.time_constant_s > 0.0 or model.effects_at("modes")
-                or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
+    return model.hysteresis.is_line and not (
+        model.creep.poles_rad_per_s or model.dynamics.time_constant_s > 0.0
+        or model.effects_at("modes") or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
 
 
 def plain_model(model: StageModel, new: Sequence[Recording], old: Sequence[Recording],

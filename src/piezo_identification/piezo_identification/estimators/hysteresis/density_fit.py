@@ -38,7 +38,6 @@ LEVELS = 70
 FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
-
 STANDING_SHARE = 0.5
 """Smallest share of rows with nearly the voltage of the row before for which levels count."""
 
@@ -108,7 +107,8 @@ def estimate_density(
         # The inverse of inexact dynamics may turn the sign near a resonance.
         segments = [segment_of(part, creep, ElectricVibrationDynamics(), 0.0) for part in parts]
         if _falls(segments):
-            raise ValueError(f"{parts[0].path}: the displacement falls where the voltage rises: "
+            path = parts[0].path
+            raise ValueError(f"{path}: the displacement falls where the voltage rises: "
                              "reverse the sign of one")
     if most_rows is not None:
         every = -(-sum(segment.samples.size for segment in segments) // most_rows)
