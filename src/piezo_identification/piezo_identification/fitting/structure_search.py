@@ -46,6 +46,9 @@ class SearchSettings:
     followed, before and after the search from the best start: its loops were not yet estimated."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
+    distinct: float = 1.0
+    """Largest gain of log-evidence with which a structure of as many parameters does not replace
+    another: the recordings do not tell the two apart, and other motion may."""
     modes_less: int = 2
     """Number of modes per round, the least important ones, that are removed on trial."""
     above_noise: float = 1.05
@@ -280,7 +283,9 @@ def _of_round(report: Callable[[str, float], object], turn: int) -> Callable[[st
 
 def _better(problem: WholeModel, tried: Sequence[Tried], best: WholeFit) -> list[WholeFit]:
     """Return the fits that are better than the best so far, with all modes within the band."""
-    return [fit for _, fit in tried if is_better(fit, best) and has_modes_in_band(problem, fit)]
+    return [fit for _, fit in tried
+            if is_better(fit, best) and has_modes_in_band(problem, fit)
+            and fit.evidence_over(best) > SETTINGS.distinct * (fit.numbers == best.numbers)]
 
 
 def starts(problem: WholeModel, given: StageModel, delay_s: float | None,

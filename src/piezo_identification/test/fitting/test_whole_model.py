@@ -313,6 +313,28 @@ def test_a_structure_that_one_step_leaves_far_behind_gets_no_other(wrong, behind
     assert bool(continued) == is_continued
 
 
+@pytest.mark.parametrize("gain, numbers, is_moved", [
+    (0.5, 1, False), (2.0, 1, True), (0.5, 0, True)])
+def test_a_lag_stays_where_it_is_if_the_recordings_do_not_tell_the_places_apart(
+        wrong, gain, numbers, is_moved):
+    def fit(model, delay_s, steps, changes=None):
+        ahead = any(type(effect) is AmplifierLag for effect in model.effects)
+        is_whole_lag = ahead and model.dynamics.time_constant_s == 0.0
+        return FitOfEvidence(model=model, delay_s=delay_s, numbers=numbers, has_converged=True,
+                             evidence=gain if is_whole_lag else -1e4, gain=0.0,
+                             density_changes=None,
+                             weights_of_effects=lambda: np.zeros(len(model.effects)))
+
+    problem = SimpleNamespace(sample_period_s=1e-4, fit=fit, again=lambda fit, steps: fit,
+                              about_here=lambda: None, responses=(),
+                              over_noise=lambda fit: np.array([1.0]),
+                              fastest_over_noise=lambda fit: 1.0)
+    before = FitOfEvidence(model=wrong, delay_s=None, numbers=1, evidence=0.0, has_converged=True,
+                           density_changes=None, weights_of_effects=lambda: np.zeros(0))
+    best, _ = searched(problem, before)
+    assert (best is not before) == is_moved
+
+
 @pytest.mark.parametrize("zeros, continued", [
     ((0.11, 1.1), True), ((0.11, 0.99), False), ((0.099, 1.1), True)])
 def test_a_start_continues_the_creep_unless_its_last_pair_has_the_other_sign(
