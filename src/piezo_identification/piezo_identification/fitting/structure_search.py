@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Search for the structure of a model: change one part at a time and refit all parameters."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -447,13 +447,20 @@ def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 
 def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
     """Return ringing modes as those of one structure, without velocity participation."""
-    limits = {each.name: (each.metadata["low"], each.metadata["high"])
-              for each in fields(VibrationMode)}
-    limits["damping_ratio"] = limits["damping_ratio"][0], SETTINGS.most_uncoupled
-    return tuple(
-        VibrationMode(**{name: float(np.clip(getattr(mode, name), *ends))
-                         for name, ends in limits.items()})
-        for mode in _in_phase(modes))
+    return tuple(_uncoupled_mode(mode, mode.participation) for mode in _in_phase(modes))
+
+
+def _uncoupled_mode(mode: VibrationMode, participation: float) -> VibrationMode:
+    """Return a mode of a structure with a participation, near another kind of mode."""
+    return _within_limits(VibrationMode, mode.parameters() | {
+        "participation": participation,
+        "damping_ratio": min(mode.damping_ratio, SETTINGS.most_uncoupled)})
+
+
+def _within_limits(kind: type[VibrationMode], values: Mapping[str, float]) -> VibrationMode:
+    """Return a mode with the possible values that are nearest to some values."""
+    return kind(**{each.name: float(np.clip(
+        values[each.name], each.metadata["low"], each.metadata["high"])) for each in fields(kind)})
 
 
 def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
@@ -464,7 +471,8 @@ def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
         if last is not None and mode.frequency_rad_per_s - last.frequency_rad_per_s < (
                 last.damping_ratio + mode.damping_ratio) * mode.frequency_rad_per_s:
             larger = max(last, mode, key=lambda each: abs(each.participation))
-            apart[-1] = replace(larger, participation=last.participation + mode.participation)
+            apart[-1] = _within_limits(type(larger), larger.parameters() | {
+                "participation": last.participation + mode.participation})
         else:
             apart.append(mode)
     return apart
@@ -592,6 +600,11 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         yield Structure("its modes out of phase", replace(model, effects=tuple(
             CoupledMode(*effect.parameters().values()) if type(effect) is VibrationMode else effect
             for effect in model.effects)), delay_s)
+    late_s = _lag_of_coupled_modes(model)
+    if late_s > 0.0:
+        yield Structure("its modes in phase, behind a delay", replace(model, effects=tuple(
+            _turned_in_phase(effect) if type(effect) is CoupledMode else effect
+            for effect in model.effects)), (delay_s or 0.0) + late_s)
     for place in ahead:
         moved_s = model.effects[place].parameters()["time_constant_s"]
         yield Structure(
@@ -600,6 +613,24 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         if behind_s > 0.0:
             yield Structure("its lags exchanged", _with(_electric(
                 _without(model, place), moved_s), AmplifierLag(behind_s)), delay_s)
+
+
+def _lag_of_coupled_modes(model: StageModel) -> float:
+    """Return the delay in s by which the velocities of coupled modes are explained best.
+
+    A delay turns the part of each mode by an angle in proportion to its frequency.
+    """
+    modes = [effect for effect in model.effects if type(effect) is CoupledMode]
+    sizes = np.array([np.hypot(mode.participation, mode.velocity_participation) for mode in modes])
+    lags_s = [np.arctan(-mode.velocity_participation / (mode.participation or 1e-12))
+              / mode.frequency_rad_per_s for mode in modes]
+    return float(sizes @ lags_s / sizes.sum()) if sizes.any() else 0.0
+
+
+def _turned_in_phase(mode: CoupledMode) -> VibrationMode:
+    """Return a mode of the same size and sign without a part that follows the velocity."""
+    size = np.hypot(mode.participation, mode.velocity_participation)
+    return _uncoupled_mode(mode, float(np.copysign(size, mode.participation)))
 
 
 def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:

@@ -21,6 +21,7 @@ from piezo_identification.fitting.structure_search import (
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -140,6 +141,22 @@ def test_a_mode_in_series_that_an_antiresonance_cancels_is_left_out_with_it(plan
                    if each.change.startswith("without the mode of 420 rad/s"))
     assert without.model.dynamics == own
     assert is_better(problem.fit(without.model, without.delay_s, 0), fit)
+
+
+def test_modes_that_velocities_turn_alike_become_modes_in_phase_behind_a_delay(wrong):
+    delay_s, truth = 3e-4, (VibrationMode(700.0, 0.02, 0.8), VibrationMode(1700.0, 0.06, -0.2))
+    turned = tuple(CoupledMode(
+        mode.frequency_rad_per_s, mode.damping_ratio,
+        mode.participation * np.cos(mode.frequency_rad_per_s * delay_s),
+        -mode.participation * np.sin(mode.frequency_rad_per_s * delay_s)) for mode in truth)
+    fit = SimpleNamespace(model=replace(wrong, effects=turned), delay_s=1e-4,
+                          weights_of_effects=lambda: np.zeros(2))
+    problem = SimpleNamespace(sample_period_s=1e-4, fastest_over_noise=lambda fit: 1.0)
+    [found] = [each for each in structures(problem, fit) if "in phase" in each.change]
+    assert found.delay_s == pytest.approx(1e-4 + delay_s)
+    for mode, expected in zip(found.model.effects, truth, strict=True):
+        assert type(mode) is VibrationMode
+        assert mode.parameters() == pytest.approx(expected.parameters())
 
 
 def test_an_amplifier_of_second_order_takes_the_place_of_a_lag(plant, play):
@@ -346,6 +363,14 @@ def test_a_start_continues_the_creep_unless_its_last_pair_has_the_other_sign(
         creep = structure.model.creep
         assert creep.zeros_rad_per_s[:2] == zeros
         assert (len(creep.zeros_rad_per_s) > 2) == continued
+
+
+def test_modes_that_overlap_are_merged_within_the_limits_of_a_mode(wrong, recordings):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    given = replace(wrong, dynamics=ElectricVibrationDynamics(1e-4), effects=(
+        VibrationMode(2800.0, 0.02, 2.5), VibrationMode(2810.0, 0.02, 0.6)))
+    merged = next(starts(problem, given, None, True)).model.effects
+    assert [mode.participation for mode in merged if isinstance(mode, VibrationMode)] == [3.0]
 
 
 def test_a_start_leaves_out_slow_modes_that_hardly_stand_out(wrong, recordings):
