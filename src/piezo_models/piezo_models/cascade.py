@@ -20,7 +20,9 @@ from piezo_models.effects.amplifier_lag import (
     parts_of_rows,
     with_overshoot,
 )
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.effect import Effect
+from piezo_models.effects.hysteresis import Hysteresis
 from piezo_models.hysteresis.first_rise import CYCLED, FirstRise
 from piezo_models.hysteresis.hysteretic_creep import HystereticCreep, HystereticCreepMemory
 from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
@@ -107,6 +109,12 @@ class StageModel:
         from piezo_models.control_objects import write_matlab
 
         write_matlab(path, self)
+
+    @property
+    def has_hysteresis(self) -> bool:
+        """Whether slow voltages give loops, by the density or by an effect."""
+        return not self.hysteresis.is_line or any(
+            isinstance(effect, BoucWenHysteresis | Hysteresis) for effect in self.effects)
 
     def effects_at(self, place: str) -> tuple[Any, ...]:
         """Return the effects at one of `piezo_models.effects.effect.PLACES`."""

@@ -91,8 +91,10 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     model = identified.model
     low_um, high_um = model.hysteresis.output_range_um
     visited = ""
-    if model.hysteresis.is_line:
+    if not model.has_hysteresis:
         visited = ", without hysteresis"
+    elif model.hysteresis.is_line:
+        visited = ", with a hysteresis in front of a line"
     elif identified.visited is not None:
         visited = (f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane "
                    "visited")

@@ -15,6 +15,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -54,6 +55,7 @@ COMPENSATED = [
     (RateDependentHysteresis(0.02, 1000.0, 0.3, 1e-3), 1e-3),
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
     (Hysteresis((0.05, 0.1), (0.02, -0.02), (0.0, 0.2), 50.0, 50.0), 1e-6),
+    (BoucWenHysteresis(4.0, 15.0, 0.5), 1e-3),
     (AmplitudeDamping(0.02, 0.3, 50.0, 2846.0, 0.68), 1e-2),
     (VoltageSteps(1.0, 1e-3, 0.0), 2e-3), (SensorSteps(1.0, 1e-3, 0.0), 2e-3),
 ]

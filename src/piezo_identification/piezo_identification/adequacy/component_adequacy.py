@@ -137,7 +137,7 @@ def advice_on(component: str, model: StageModel, location: ResidualLocation, pat
                 f", if only {path} once more" if slow else ""))
     elif component == "creep":
         steps.append("record the creep longer")
-    elif "hysteresis" not in recordings and not model.hysteresis.is_line:
+    elif "hysteresis" not in recordings and model.has_hysteresis:
         steps.append("give a recording for --hysteresis, which was taken from the fast one alone")
     if is_asked_for:
         steps.append(f"leave {NUMBERS[component]} out, so that the number is sought")

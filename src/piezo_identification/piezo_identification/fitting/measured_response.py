@@ -74,6 +74,6 @@ def best_gain(model: StageModel, modelled: ComplexArray, measured: ComplexArray)
     same angle at all frequencies.
     """
     along = np.vdot(modelled, measured)
-    most_rad = 0.0 if model.hysteresis.is_line else MOST_LOSS_RAD
+    most_rad = MOST_LOSS_RAD if model.has_hysteresis else 0.0
     turn = np.exp(1j * np.clip(np.angle(along), -most_rad, 0.0))
     return complex((along * turn.conj()).real / np.vdot(modelled, modelled).real * turn)

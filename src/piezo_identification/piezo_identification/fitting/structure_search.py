@@ -16,6 +16,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
 from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
@@ -713,7 +714,12 @@ def _later(model: StageModel, delay_s: float | None,
 
 
 def _with(model: StageModel, effect: Effect) -> StageModel:
-    return replace(model, effects=(*model.effects, effect))
+    """Return a model with one more effect: an amplifier in front of a Bouc-Wen hysteresis."""
+    place = len(model.effects)
+    if isinstance(effect, AmplifierLag):
+        place = next((number for number, other in enumerate(model.effects)
+                      if isinstance(other, BoucWenHysteresis)), place)
+    return replace(model, effects=(*model.effects[:place], effect, *model.effects[place:]))
 
 
 def _without(model: StageModel, place: int) -> StageModel:

@@ -12,6 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
+from piezo_identification.fitting.bouc_wen_start import with_bouc_wen
 from piezo_identification.fitting.dataset import dataset_of
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.free_parameters import (
@@ -274,6 +275,12 @@ class WholeModel:
         return self.with_hysteresis(replace(self.given, hysteresis=PreisachModel.line(
             loops.voltage_min_v, loops.voltage_max_v, gain_um_per_v, float(offset_um))),
             WIDE_PRIOR)
+
+    def with_bouc_wen(self, model: StageModel) -> tuple["WholeModel", StageModel]:
+        """Return the problem with a line, and a model with a Bouc-Wen hysteresis in front of it."""
+        problem = self.with_line()
+        start = with_bouc_wen(model, problem.given.hysteresis, self._dataset.simulated)
+        return problem.with_hysteresis(start, WIDE_PRIOR), start
 
     def about_here(self) -> None:
         """Make the next fit recompute how the pieces of the hysteresis change the displacement.

@@ -54,6 +54,8 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
+BOUC_WEN = "a Bouc-Wen hysteresis"
+
 Tried = Sequence[tuple[str, WholeFit]]
 """What was changed, and the fit, in the order in which they were tried."""
 
@@ -111,7 +113,7 @@ class _Search:
                 if is_new and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
                     state = other if is_better(other.best, state.best) else state
-        return self._or_of_a_line(state, delay_s)
+        return self._or_of_bouc_wen(self._or_of_a_line(state, delay_s))
 
     def with_held_out_rows(self, state: _State) -> _State:
         """Return a state refitted to all rows: those that were held out have chosen its structure.
@@ -141,12 +143,35 @@ class _Search:
         with while_time_lasts("a line in place of the hysteresis"):
             check_cancelled()
             problem = self.problem.with_line()
-            line = replace(self, problem=problem, tried=[], given=replace(
-                self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool)))
+            line = replace(self, problem=problem, tried=[], given=self._given_with_line(problem))
             other = line.best(delay_s, state.best)
             self.tried.extend((f"a line: {change}", fit) for change, fit in line.tried)
             if is_better(other.best, state.best):
                 return other
+        return state
+
+    def _given_with_line(self, problem: WholeModel) -> FittedModel:
+        return replace(self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool))
+
+    def _or_of_bouc_wen(self, state: _State) -> _State:
+        """Return a state, or the best one with a Bouc-Wen hysteresis if that follows loops better.
+
+        No Preisach hysteresis has loops that drift and do not close.
+        """
+        if self.given.model.hysteresis.is_line or is_at_noise(state.problem, state.best):
+            return state
+        with while_time_lasts(BOUC_WEN):
+            check_cancelled()
+            self.report(BOUC_WEN, 1.0)
+            problem, start = state.problem.with_bouc_wen(state.best.model)
+            best = problem.fit(start, state.best.delay_s, SETTINGS.steps)
+            self.tried.append((BOUC_WEN, best))
+            if not _is_promising(best, state.best):
+                return state
+            best, changed = searched(problem, best, self._part(1.0, 0.0), self.is_asked_for)
+            self.tried.extend(changed)
+            if is_better(best, state.best):
+                return _State(self._given_with_line(problem), best, problem)
         return state
 
     def _from(self, start: _State, begin: float, length: float) -> _State:

@@ -9,6 +9,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -50,6 +51,7 @@ EFFECTS = (
     SlewLimit,
     VoltageClipping,
     Hysteresis,
+    BoucWenHysteresis,
     RateDependentHysteresis,
     AmplifierLag,
     SecondOrderAmplifier,

@@ -24,6 +24,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
@@ -65,6 +66,7 @@ EXAMPLES = (
     SlewLimit(1e5, 0.9, -0.002),
     VoltageClipping(-5.0, 90.0, 1.0),
     Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
+    BoucWenHysteresis(1.0, 4.0, 0.5),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     AmplifierLag(4e-5),
     SecondOrderAmplifier(4e-5, 0.7),

@@ -341,8 +341,8 @@ def _with_model(dataset: Dataset, model: StageModel, has_other_parameters: bool)
 
 def is_plain(model: StageModel) -> bool:
     """Return whether a model already is just a line and a mode."""
-    return model.hysteresis.is_line and not (
-        model.creep.poles_rad_per_s or model.dynamics.time_constant_s > 0.0
+    return not (
+        model.has_hysteresis or model.creep.poles_rad_per_s or model.dynamics.time_constant_s > 0.0
         or model.effects_at("modes") or len(model.dynamics.mode_frequencies_rad_per_s) > 1)
 
 

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Loops of another kind than a Preisach hysteresis: their own form is found and predicts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from piezo_identification import identify
+from piezo_identification.prediction import unseen_errors
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from piezo_models.model_summary import main_results
+from piezo_recorder import recording_of
+
+pytestmark = pytest.mark.kernels
+
+PERIOD_S, NOISE_UM, GAIN_UM_PER_V = 0.02, 0.005, 0.2
+SATURATION_V, RELAXATION_V = 5.0, 20.0
+
+
+def turning(levels_v, rows):
+    along = np.r_[0.0, np.cumsum(np.abs(np.diff(levels_v)))]
+    return np.interp(np.linspace(0.0, along[-1], rows), along, levels_v)
+
+
+def measured(voltage_v, seed):
+    """Solve the equation of Dahl from row to row, and add noise."""
+    taken_v, last_v = [0.0], voltage_v[0]
+    for next_v in voltage_v[1:]:
+        sign = np.sign(next_v - last_v)
+        taken_v.append(solve_ivp(
+            lambda _, z, sign=sign: (SATURATION_V * sign - z) / RELAXATION_V,
+            (0.0, abs(next_v - last_v)), taken_v[-1:], rtol=1e-8).y[0, -1])
+        last_v = next_v
+    noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(voltage_v.size)
+    return recording_of({"time_s": np.arange(voltage_v.size) * PERIOD_S, "voltage_v": voltage_v,
+                         "displacement_um": GAIN_UM_PER_V * (voltage_v - taken_v) + noise_um})
+
+
+@pytest.fixture(scope="module")
+def identified():
+    sizes_v = np.linspace(48.0, 4.0, 12)
+    levels_v = 50.0 + np.r_[0.0, np.column_stack([sizes_v, -sizes_v]).ravel(), 0.0]
+    return identify(hysteresis=measured(turning(levels_v, 1500), 1))
+
+
+def test_the_equation_is_found_with_its_parameters(identified):
+    [loops] = identified.model.effects
+    assert isinstance(loops, BoucWenHysteresis)
+    assert identified.adequacy["hysteresis"]["verdict"] == "adequate"
+    assert loops.saturation_v == pytest.approx(SATURATION_V, rel=0.02)
+    assert loops.relaxation_v == pytest.approx(RELAXATION_V, rel=0.02)
+    assert loops.unloading == pytest.approx(1.0, abs=0.05)
+
+
+def test_small_loops_off_the_centre_are_predicted(identified):
+    levels_v = [50.0, 80.0, 60.0, 75.0, 20.0, 40.0, 25.0, 90.0, 70.0, 85.0, 50.0]
+    unseen = measured(turning(levels_v, 800), 2)
+    noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
+    assert unseen_errors(identified.model, unseen)["e_y_percent"] < 1.5 * noise_percent
+
+
+def test_the_summary_does_not_say_that_there_is_no_hysteresis(identified):
+    assert "with a hysteresis in front of a line" in str(main_results(identified))
+    assert identified.model.has_hysteresis
+    assert not replace(identified.model, effects=()).has_hysteresis

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Hysteresis of the voltage by a differential equation, whose loops need not close."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numba import njit
+
+from piezo_common.arrays import FloatArray
+from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
+
+STEEPEST = 0.95
+"""Largest slope of what is taken from the voltage: the displacement then follows every voltage."""
+
+
+@njit(cache=True, nogil=True)
+def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: float,
+           relaxation_v: float, unloading: float) -> FloatArray:
+    """Return what is taken from a voltage, (N,): the exact solution, however far samples are."""
+    taken = np.empty(voltage_v.size)
+    for n in range(voltage_v.size):
+        move_v = voltage_v[n] - last_v
+        last_v = voltage_v[n]
+        left, ahead_v = abs(move_v) / relaxation_v, math.copysign(1.0, move_v) * taken_v
+        if ahead_v < 0.0:
+            until_zero = -ahead_v / saturation_v
+            if unloading > 0.0:
+                until_zero = math.log1p(unloading * until_zero) / unloading
+            if left < until_zero:
+                grown = -math.expm1(-unloading * left) / unloading if unloading > 0.0 else left
+                ahead_v = ahead_v * math.exp(-unloading * left) + saturation_v * grown
+                left = 0.0
+            else:
+                ahead_v, left = 0.0, left - until_zero
+        ahead_v = saturation_v + (ahead_v - saturation_v) * math.exp(-left)
+        taken_v = math.copysign(1.0, move_v) * ahead_v
+        taken[n] = taken_v
+    return taken
+
+
+@dataclass(frozen=True)
+class BoucWenHysteresis(Effect):
+    """The voltage that acts is u - z, where z follows u as Bouc and Wen describe it.
+
+    In the direction of the motion, L dz/du = S - z while z grows, and S - r z, with the factor r
+    of unloading, while what is left of the opposite direction decreases. This is
+    ``z' = a u' - b |u'| z - c u' |z|`` (Wen 1976, exponent 1) with S = a / (b + c), L = 1 / (b + c)
+    and r = (b - c) / (b + c). With r = 1, it is the model of Dahl, and that of Jiles and Atherton
+    about a line. Minor loops drift, unlike those of a Preisach hysteresis.
+    """
+
+    name: ClassVar[str] = "bouc_wen_hysteresis"
+    place: ClassVar[str] = "voltage"
+    experiment: ClassVar[str] = "hysteresis: slow triangles of rising amplitude"
+    distortion: ClassVar[frozenset[str] | None] = frozenset({"odd"})
+    confounded_with: ClassVar[tuple[str, ...]] = ("hysteresis",)
+
+    saturation_v: float = parameter("V", "logarithm", LEAST, MOST)
+    relaxation_v: float = parameter("V", "logarithm", LEAST, MOST)
+    unloading: float = parameter("1", "linear", 0.0, 5.0, default=1.0)
+
+    def apply(self, signal: FloatArray, sample_period_s: float,
+              rest: float | None = None) -> FloatArray:
+        """Return the signal behind the effect, as `Effect.apply` describes."""
+        return self.advance(signal, sample_period_s, None if rest is None else (rest, 0.0))[0]
+
+    def advance(self, signal: FloatArray, sample_period_s: float,
+                past: Any = None) -> tuple[FloatArray, Any]:
+        """Continue the signal behind the effect; the past is the last voltage and its z."""
+        signal = np.ascontiguousarray(signal, dtype=float)
+        last_v, taken_v = (float(signal[0]), 0.0) if past is None else past
+        taken = _taken(signal, last_v, taken_v, self.saturation_v, self.relaxation_v,
+                       self.unloading)
+        return signal - taken, (float(signal[-1]), float(taken[-1]))
+
+    @classmethod
+    def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
+        """Bound the voltages by the span of the recordings."""
+        return {"saturation_v": (1e-5 * extent.span_v, extent.span_v),
+                "relaxation_v": (1e-3 * extent.span_v, 10.0 * extent.span_v)}
+
+    def impossible(self, extent: Extent) -> str | None:
+        """Reject a displacement that decreases while the voltage rises."""
+        if (1.0 + self.unloading) * self.saturation_v > STEEPEST * self.relaxation_v:
+            return "the stage would go back while the voltage goes on"
+        return None
+
+    @classmethod
+    def starts(cls, evidence: Evidence) -> list[Self]:
+        """Return none: `identify` compares it with the loops of the model."""
+        return []

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The hysteresis of Bouc and Wen against its differential equation, and its laws."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from piezo_models.effects.effect import Extent
+
+PERIOD_S = 1e-3
+EXTENT = Extent(10.0, -20.0, 20.0, 1.0, PERIOD_S)
+
+
+def turns(seed=0, count=8):
+    levels_v = 10.0 * np.random.default_rng(seed).uniform(-1.0, 1.0, count)
+    return np.concatenate([[0.0], levels_v])
+
+
+@pytest.mark.parametrize("unloading", [0.0, 0.4, 1.0, 3.0])
+def test_it_is_the_solution_of_the_equation_of_bouc_and_wen(unloading):
+    effect = BoucWenHysteresis(1.5, 8.0, unloading)
+    rate, slope = 1.0 / effect.relaxation_v, effect.saturation_v / effect.relaxation_v
+    beta, gamma = 0.5 * rate * (1.0 + unloading), 0.5 * rate * (1.0 - unloading)
+    levels_v, taken_v = turns(), [0.0]
+    for before_v, after_v in zip(levels_v[:-1], levels_v[1:], strict=True):
+        sign = np.sign(after_v - before_v)
+        taken_v.append(solve_ivp(
+            lambda _, z, sign=sign: slope * sign - beta * z - gamma * sign * np.abs(z),
+            (0.0, abs(after_v - before_v)), taken_v[-1:], rtol=1e-10, atol=1e-12).y[0, -1])
+    assert levels_v - effect.apply(levels_v, PERIOD_S) == pytest.approx(taken_v, abs=1e-7)
+
+
+def test_samples_on_the_way_do_not_matter():
+    effect, levels_v = BoucWenHysteresis(1.0, 4.0, 0.5), turns(1)
+    fine_v = np.concatenate([np.linspace(*ends, 50) for ends in zip(
+        levels_v[:-1], levels_v[1:], strict=True)])
+    assert effect.apply(fine_v, PERIOD_S)[49::50] == pytest.approx(
+        effect.apply(levels_v, PERIOD_S)[1:])
+
+
+def test_a_held_voltage_changes_nothing_and_far_away_it_saturates():
+    effect = BoucWenHysteresis(1.0, 4.0, 0.5)
+    behind_v = effect.apply(np.array([0.0, 200.0, 200.0, -200.0, -200.0]), PERIOD_S)
+    assert behind_v == pytest.approx([0.0, 199.0, 199.0, -199.0, -199.0])
+
+
+def test_the_signal_behind_rises_with_the_voltage_unless_it_is_called_impossible():
+    rising_v, falling_v = np.linspace(-20.0, 20.0, 400), np.linspace(20.0, -20.0, 400)
+    wave_v = np.concatenate([rising_v, falling_v, rising_v])
+    for relaxation_v, is_possible in ((2.2, True), (1.8, False)):
+        effect = BoucWenHysteresis(1.0, relaxation_v, 1.0)
+        moves_v = np.diff(effect.apply(wave_v, PERIOD_S))
+        assert (effect.impossible(EXTENT) is None) == is_possible
+        assert np.all(moves_v * np.diff(wave_v) >= 0.0) == is_possible
