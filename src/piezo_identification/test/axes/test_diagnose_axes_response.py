@@ -58,14 +58,15 @@ def below(measured, highest_hz):
         measured.gain_um_per_v[kept]), deviation_um_per_v=None)
 
 
+# Their number is asked for where they are identified.
 @pytest.fixture(scope="module")
 def two():
-    return identify_several_axes(response(2, 0))
+    return identify_several_axes(response(2, 0), pairs=3)
 
 
 @pytest.fixture(scope="module")
 def three():
-    return identify_several_axes(response(3, 0))
+    return identify_several_axes(response(3, 0), pairs=4)
 
 
 def mixed(n, row, column, part):
