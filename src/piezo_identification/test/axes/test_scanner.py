@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hysteresis and creep of each axis in front of shared modes, from slow and fast recordings."""
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -22,12 +23,12 @@ import scanner
 def few_levels():
     """Plays explain most of the loops: the cells beside them may be wide.
 
-    Lags, which these amplifiers do not have, are sought on a coarse grid.
+    Lags, which these amplifiers do not have, are sought by `make long` alone.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(actuator_start, "LEVELS", (6, 8))
-        patch.setattr(amplifier_lags, "SWEEPS", 1)
-        patch.setattr(amplifier_lags, "SPACING", 3.0)
+        patch.setattr(actuator_start, "LEVELS", (6, 12))
+        if "LONG_TESTS" not in os.environ:
+            patch.setattr(amplifier_lags, "SWEEPS", 0)
         yield
 
 
