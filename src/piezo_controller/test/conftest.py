@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
+from functools import partialmethod
+
 import numpy as np
 import pytest
 
 from piezo_controller.feedback.feedback_design import design_feedback
+from piezo_controller.feedback.robustness import PlantErrors
 from piezo_controller.feedback.synthesis import dk_iteration
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
@@ -43,6 +46,13 @@ def short_search():
         patch.setattr(dk_iteration, "SEARCHED", 1)
         patch.setattr(dk_iteration, "ITERATIONS", 2)
         yield
+
+
+@pytest.fixture
+def few_draws(monkeypatch):
+    """Close the loop with 20 drawn plants instead of 200."""
+    monkeypatch.setattr(PlantErrors, "robustness", partialmethod(
+        PlantErrors.robustness, samples=20))
 
 
 CLOCK_PERIOD_S = 25e-6

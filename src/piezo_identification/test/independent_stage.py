@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag, expm
+from scipy.signal import lfilter
 
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
@@ -81,11 +82,13 @@ class IndependentStage:
         late, part = divmod(self.read_at - self.delay_s / sample_period_s, 1.0)
         transition, gain = over(sample_period_s)
         to_reading, gain_of_reading = over(part * sample_period_s)
-        state = np.linalg.solve(a, -b * driving_um[0])
-        read_um = np.empty(voltage_v.size)
-        for n, drive in enumerate(driving_um):
-            read_um[n] = c @ (to_reading @ state + gain_of_reading * drive)
-            state = transition @ state + gain * drive
+        # Each of the distinct poles is a recursion of its own.
+        poles, shapes = np.linalg.eig(transition)
+        pushes, first = np.linalg.solve(
+            shapes, np.column_stack([gain, np.linalg.solve(a, -b * driving_um[0])])).T
+        states = [lfilter([0.0, push], [1.0, -pole], driving_um, zi=[begin])[0]
+                  for pole, push, begin in zip(poles, pushes, first, strict=True)]
+        read_um = (c @ to_reading @ shapes @ states).real + c @ gain_of_reading * driving_um
         rows = np.clip(np.arange(voltage_v.size) + int(late), 0, voltage_v.size - 1)
         read_um = read_um[rows]
         return read_um - self.stiffening_per_um2 * read_um**3

@@ -10,16 +10,17 @@ import piezo_offline
 from piezo_models import IdentifiedAxes
 from piezo_recorder import RecordingError
 
+ROWS = 800
 GAIN = np.array([[0.2, 0.004], [-0.003, 0.15]])
 
 
 def columns(seed):
     """Return columns of two lagged axes with static coupling, from rest."""
     rng = np.random.default_rng(seed)
-    drive = rng.normal(size=(1500, 2)) * (np.arange(1500)[:, None] > 20)
+    drive = rng.normal(size=(ROWS, 2)) * (np.arange(ROWS)[:, None] > 20)
     moved = lfilter([0.0, 0.4], [1.0, -0.6], drive @ GAIN.T, axis=0)
     measured = moved + 1e-3 * rng.normal(size=moved.shape)
-    return {"time_s": 1e-3 * np.arange(1500), "x_voltage_v": drive[:, 0],
+    return {"time_s": 1e-3 * np.arange(ROWS), "x_voltage_v": drive[:, 0],
             "y_voltage_v": drive[:, 1], "x_displacement_um": measured[:, 0],
             "y_displacement_um": measured[:, 1]}
 

@@ -263,10 +263,14 @@ def with_plays(model):
 
 def behind_plays(voltage_v):
     """Return the drive, sample by sample."""
-    moved, drive_v = voltage_v[0] - HALF_V, np.empty_like(voltage_v)
-    for sample, now in enumerate(voltage_v):
-        moved = np.clip(moved, now - HALF_V, now + HALF_V)
-        drive_v[sample] = (1.0 - WEIGHT) * now + WEIGHT * moved
+    moved_v = []
+    for axis_v in voltage_v.T.tolist():
+        moved, passed_v = axis_v[0] - HALF_V, []
+        for now in axis_v:
+            moved = min(max(moved, now - HALF_V), now + HALF_V)
+            passed_v.append(moved)
+        moved_v.append(passed_v)
+    drive_v = (1.0 - WEIGHT) * voltage_v + WEIGHT * np.transpose(moved_v)
     return drive_v / (1.0 - WEIGHT * HALF_V / RANGE_V)
 
 

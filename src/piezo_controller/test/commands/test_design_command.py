@@ -103,7 +103,7 @@ def _assert_the_pictures_hold_the_margins(page, report):
 
 
 @pytest.mark.parametrize("method", ["pid", pytest.param("pi", marks=pytest.mark.long)])
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("without_pictures", "few_draws")
 def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
                                                                    capsys):
     output = tmp_path / "controller.json"
@@ -134,7 +134,7 @@ def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
     assert asked == [(weights, 0)]
 
 
-@pytest.mark.usefixtures("without_pictures")
+@pytest.mark.usefixtures("without_pictures", "few_draws")
 def test_clock_of_another_stage_gives_the_same_feedback_rate(model_path, tmp_path, capsys):
     output = tmp_path / "controller.json"
     arguments = ["--model", str(model_path), "--output", str(output), "--no-report"]

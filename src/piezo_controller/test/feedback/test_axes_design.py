@@ -176,6 +176,7 @@ def model_file(tmp_path, model):
     return tmp_path / "model.json"
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_command_writes_the_law_its_picture_and_its_page(
         model_file, law, tmp_path, capsys, monkeypatch):
     asked = []
@@ -189,7 +190,7 @@ def test_command_writes_the_law_its_picture_and_its_page(
                  "--output", str(tmp_path / "law.json")]) == 0
     printed = capsys.readouterr().out
     assert asked == [load_weights().for_disturbances(10.0).at_tick(TICK_S)]
-    assert "bandwidth of y" in printed and "200 of 200 drawn" in printed
+    assert "bandwidth of y" in printed and "20 of 20 drawn" in printed
     assert load_axes_law(tmp_path / "law.json").axes == ("x", "y")
     page = (tmp_path / "law_report.html").read_text()
     assert "may change independently" in page

@@ -36,7 +36,7 @@ def saved(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def feedbacks():
+def feedbacks(short_search):
     return Feedbacks(FeedbackSettings(), CLOCK)
 
 

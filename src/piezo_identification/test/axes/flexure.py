@@ -70,12 +70,12 @@ def response(frequency_hz, softer=1.0, damped=1.0):
     a, b, c = continuous(softer, damped)
     step, drive = held(a, b, PERIOD_S)
     found = np.zeros((len(frequency_hz), 2, 2), dtype=complex)
-    for row, z in enumerate(np.exp(2j * np.pi * np.asarray(frequency_hz) * PERIOD_S)):
-        state = np.linalg.solve(z * np.eye(len(a)) - step, drive)
-        for sensor, late in enumerate(LATE):
-            whole = int(late) + 1
-            on, push = held(a, b, (whole - late) * PERIOD_S)
-            found[row, sensor] = z**-whole * c[sensor] @ (on @ state + push)
+    z = np.exp(2j * np.pi * np.asarray(frequency_hz) * PERIOD_S)[:, None, None]
+    states = np.linalg.solve(z * np.eye(len(a)) - step, drive)
+    for sensor, late in enumerate(LATE):
+        whole = int(late) + 1
+        on, push = held(a, b, (whole - late) * PERIOD_S)
+        found[:, sensor] = z[:, 0] ** -whole * (c[sensor] @ (on @ states + push))
     return found
 
 

@@ -30,7 +30,8 @@ CROSSTALK = 0.02
 def identified():
     *alone, both = (flexure.recording(table, f"table {number}") for number, table in
                     enumerate(flexure.experiments(samples=2048)))
-    return identify_several_axes(alone, [both])
+    return identify_several_axes(
+        alone, [both], pairs=len(flexure.FREQUENCY_RAD_PER_S))
 
 
 def fast_v(rng):

@@ -58,14 +58,15 @@ def below(measured, highest_hz):
         measured.gain_um_per_v[kept]), deviation_um_per_v=None)
 
 
+# Their number is asked for where they are identified.
 @pytest.fixture(scope="module")
 def two():
-    return identify_several_axes(response(2, 0))
+    return identify_several_axes(response(2, 0), pairs=3)
 
 
 @pytest.fixture(scope="module")
 def three():
-    return identify_several_axes(response(3, 0))
+    return identify_several_axes(response(3, 0), pairs=4)
 
 
 def mixed(n, row, column, part):
@@ -79,6 +80,8 @@ CASES = {
     "squareness[y,x]": ({"seen": mixed(2, 1, 0, 0.01)}, 0.01),
     "cross_coupling[x,y]": ({"driven": mixed(2, 0, 1, CROSSTALK)}, CROSSTALK * STATIC),
     "delay[y]": ({"late_s": (0.0, 3e-5)}, 3e-5)}
+SHOWN_BELOW = ("squareness[y,x]", "delay[y]")
+"""Of three axes, and by the command."""
 
 
 def label(entry):
@@ -95,7 +98,8 @@ def named(diagnosis):
 
 @pytest.mark.parametrize("is_known", [
     True, pytest.param(False, marks=pytest.mark.long)])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=[pytest.mark.long] if name in SHOWN_BELOW else []) for name in CASES])
 def test_effect_is_named_with_its_axis(two, name, is_known):
     changes, value = CASES[name]
     found, parameters, deviations = named(diagnose_axes(two, response(2, 5, is_known, **changes)))
@@ -117,7 +121,7 @@ def test_effect_of_three_axes_is_named_with_its_pair_and_the_extended_model_has_
     assert all(again.before[axis]["rms_um"] < 1.1 * again.noise_floor_um[axis] for axis in "xyz")
 
 
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("axis", ["x", pytest.param("y", marks=pytest.mark.long)])
 def test_mode_that_one_axis_drives_is_named_with_it(two, axis):
     values = (520.0, 0.01, 0.004, -0.002)
     added = mode_gain(FREQUENCY_HZ, *values[:2], "xy".index(axis), values[2:])

@@ -173,6 +173,7 @@ def assert_same_creep(found, truth):
     assert responses[0] == pytest.approx(responses[1], rel=5e-3)
 
 
+@pytest.mark.long  # a whole identification
 def test_identify_takes_the_dynamics_from_a_frequency_response(
         files, response_file, tmp_path, plant):
     identified = identified_with(

@@ -64,15 +64,17 @@ def test_the_uncertainty_is_that_of_densities_which_the_loop_cannot_tell_apart(o
     for _ in range(60):
         density = TRUE_DENSITY.copy()
         # Moved around rectangles, so that each row and each column keeps its sum.
-        for _ in range(1500):
-            i, k = np.sort(random.integers(1, CELLS, 2))
-            j, m = np.sort(random.integers(0, CELLS, 2))
+        rows = np.sort(random.integers(1, CELLS, (1500, 2))).tolist()
+        columns = np.sort(random.integers(0, CELLS, (1500, 2))).tolist()
+        for (i, k), (j, m) in zip(rows, columns, strict=True):
             if i == k or j == m or m >= i:
                 continue
             moved = random.uniform(-1.0, 1.0)
             moved *= min(density[i, j], density[k, m], density[i, m], density[k, j])
-            density[[i, k], [j, m]] += moved
-            density[[i, k], [m, j]] -= moved
+            density[i, j] += moved
+            density[k, m] += moved
+            density[i, m] -= moved
+            density[k, j] -= moved
         outputs.append(PreisachModel(0.0, 100.0, density).simulate(MINOR_V))
     scatter_um = np.sqrt(np.mean((outputs - truth.simulate(MINOR_V)) ** 2, axis=0))
     deviation_um = outside_identified(one_loop, MINOR_V).deviation_um

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The spring of Bouc and Wen beside an integrator of differential equations."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,8 +20,8 @@ SHAPES = {"closing": (-0.4, 0.02, 0.5, 0.6, 0.2, 1.0), "opening": (-0.5, 0.0, 0.
           "sharp": (-0.2, 0.0, 0.3, 0.4, 0.1, 2.0)}
 
 
-def drive_um(time_s):
-    return 2.0 * np.sin(90.0 * time_s) + 1.5 * np.sin(0.83 * W * time_s + 1.0)
+def drive_um(time_s, sin=np.sin):
+    return 2.0 * sin(90.0 * time_s) + 1.5 * sin(0.83 * W * time_s + 1.0)
 
 
 def solved(time_s, linear, viscous, stiffness, beta, gamma, exponent):
@@ -29,8 +30,8 @@ def solved(time_s, linear, viscous, stiffness, beta, gamma, exponent):
         y, speed, z = state
         part = abs(z) / HALF_RANGE_UM
         whole = (1.0 + linear) * y + (2.0 * DAMPING + viscous) * speed / W + z
-        return (speed, W * W * (drive_um(t) - whole),
-                stiffness * speed - beta * abs(speed) * part**exponent * np.sign(z)
+        return (speed, W * W * (drive_um(t, math.sin) - whole),
+                stiffness * speed - beta * abs(speed) * part**exponent * math.copysign(1.0, z)
                 - gamma * speed * part**exponent)
 
     return solve_ivp(motion, (0.0, time_s[-1]), (0.0, 0.0, 0.0), "LSODA", time_s, rtol=1e-8,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The nonlinear spring beside a root finder and an integrator of differential equations."""
 
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -30,8 +30,12 @@ def spring(parts, frequency_rad_per_s=0.0, damping_ratio=1.0, viscous=0.0):
                       damping_ratio, quartic_um=quartic, viscous=viscous)
 
 
+# The root finder and the integrator ask for the force many thousand times.
+ends_of = cache(straight_beyond)
+
+
 def force(parts, y):
-    low, high = straight_beyond(parts, HALF_RANGE_UM)
+    low, high = ends_of(parts, HALF_RANGE_UM)
     return force_and_slope((y - CENTRE_UM) / HALF_RANGE_UM, np.array(parts), low, high)[0]
 
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Laws of Preisach hysteresis and of its inverse, on random densities and histories."""
 
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +10,7 @@ from hypothesis import strategies as st
 
 from piezo_models.hysteresis.preisach import PreisachModel
 
-laws = settings(deadline=None, max_examples=150)
+laws = settings(deadline=None, max_examples=150 if "LONG_TESTS" in os.environ else 60)
 
 
 @st.composite

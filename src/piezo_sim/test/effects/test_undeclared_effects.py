@@ -87,9 +87,9 @@ def test_calls_of_any_size_give_the_same_samples_to_the_bit(effect, wandering_vo
     whole = exchanged(voltage_v, voltage_v.size, plant)
     without = exchanged(voltage_v, voltage_v.size)
     assert np.std(whole[0] - without[0]) > 0.002
-    for size in (1, 40, 4097):
-        parts = exchanged(voltage_v, size, plant)
-        assert all(np.array_equal(a, b) for a, b in zip(whole, parts, strict=True))
+    for size, count in ((1, 1500), (40, 9000), (4097, 9000)):
+        parts = exchanged(voltage_v[:count], size, plant)
+        assert all(np.array_equal(a[:count], b) for a, b in zip(whole, parts, strict=True))
 
 
 @every_effect
@@ -281,7 +281,7 @@ def test_limited_current_charges_the_capacitance_as_fine_steps_do():
     for command in voltage_v:
         within = []
         for _ in range(fine):
-            change = np.clip(command - present, -0.08 / 2e-6 * step_s, 0.05 / 2e-6 * step_s)
+            change = min(max(command - present, -0.08 / 2e-6 * step_s), 0.05 / 2e-6 * step_s)
             within.append(present + change / 2)
             present += change
         expected.append(np.mean(within))
@@ -371,7 +371,7 @@ def test_a_guide_swings_by_duffings_equation(period_s, within):
     assert np.std(samples - expected) < within * np.std(linear_um - expected)
 
 
-@unhurried
+@settings(unhurried, max_examples=40)  # each takes thousands of steps
 @given(
     st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=8),
     st.floats(0.01, 3.0),

@@ -33,7 +33,7 @@ FOLLOWS = DeclaredPlant(LinearBlock.of([0.0], [1.0], [1.0], [0.0]), np.ones(1))
 LAW = FeedbackLaw(LinearBlock.of([1.0], [0.1], [1.0], [0.1]), np.array([0.5]), 20.0,
                   np.zeros(1), np.zeros(0), FOLLOWS, start_sample=2 * TICK)
 HANG_S, EXCHANGE_TIMEOUT_S, COMMAND_TIMEOUT_S = 10.0, 2.0, 5.0
-EXAMPLES = 2000 if "LONG_TESTS" in os.environ else 150
+EXAMPLES = 2000 if "LONG_TESTS" in os.environ else 75
 
 asked = st.sampled_from(
     ["play", "play and hold", "load", "append", "law", "track", "track with law", "end tracking",

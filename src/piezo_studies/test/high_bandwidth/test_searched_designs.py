@@ -94,7 +94,7 @@ def test_the_corners_of_the_errors_are_as_bad_as_what_is_drawn_between(model, in
     dynamics = model.dynamics
     frequency_hz = np.geomspace(100.0, 10_000.0, 800)
     points = np.exp(2j * np.pi * frequency_hz * CLOCK_PERIOD_S)
-    for _ in range(100):
+    for _ in range(40):
         lag, *modes = 1 + rng.uniform(-0.05, 0.05, 5)
         drawn = replace(model, dynamics=ElectricVibrationDynamics(
             lag * dynamics.time_constant_s,
@@ -108,14 +108,14 @@ def test_the_corners_of_the_errors_are_as_bad_as_what_is_drawn_between(model, in
 
 def responses(loop):
     """Return the loop as frequency data, from which python-control reads margins best."""
-    return control.frd(loop, 2 * np.pi * np.geomspace(5.0, 19_900.0, 6000))
+    return control.frd(loop, 2 * np.pi * np.geomspace(5.0, 19_900.0, 2000))
 
 
 def test_stability_and_margins_are_those_of_python_control(inverse_pi, loops):
     figures = loops.measure(inverse_pi)
     assert figures.unstable == 0
     peaks = []
-    for plant in loops.plants[:6]:
+    for plant in loops.plants[:3]:
         assert np.abs(control.feedback(plant * inverse_pi, 1).poles()).max() < 1.0
         peaks.append(1 / control.stability_margins(responses(plant * inverse_pi))[2])
     assert figures.peak_sensitivity == pytest.approx(peaks[0], rel=0.01)

@@ -43,7 +43,7 @@ def designed(light):
 
 def test_all_have_the_same_margin_and_damping_beats_pi(light, designed):
     plants = PerturbedLoops(light, ERRORS, PERIOD_S, (FREQUENCY_HZ,), delay_ticks=0).plants[::8]
-    points = np.exp(2j * np.pi * PERIOD_S * np.geomspace(1.0, 19_000.0, 5_000))
+    points = np.exp(2j * np.pi * PERIOD_S * np.geomspace(1.0, 19_000.0, 2_500))
     for controller in designed.values():
         response = controller.state_space()(points, squeeze=True)
         loops = np.array([plant(points, squeeze=True) * response for plant in plants])
@@ -98,7 +98,7 @@ def test_margin_that_no_gain_has_and_frequency_above_the_mode_are_refused(light)
     with pytest.raises(ValueError, match="lies above the first mode"):
         feedback_at_margin("repetitive", light, 900.0)
     with pytest.raises(UnstableLoop, match="no gain of pi has a peak sensitivity of 1"):
-        feedback_at_margin("pi", light, FREQUENCY_HZ, 1.0000001, effort=0.1)
+        feedback_at_margin("pi", light, FREQUENCY_HZ, 1.0000001, effort=0.01)
 
 
 @pytest.mark.long

@@ -46,7 +46,7 @@ def test_noise_that_grows_with_the_voltage_cannot_be_predicted(ceiling_beside, r
 
 def test_what_follows_from_the_voltage_is_predicted_from_the_voltage(
         ceiling_beside, recorded, monkeypatch):
-    monkeypatch.setattr(module, "SETTINGS", replace(module.SETTINGS, trees=40))
+    monkeypatch.setattr(module, "SETTINGS", replace(module.SETTINGS, trees=20))
     added_um = 0.03 * np.sin(0.2 * recorded.voltage_v)
     found = ceiling_beside(added_um)
     assert found.from_voltage_um > 0.85 * np.sqrt(found.left_um**2 - 0.009**2)

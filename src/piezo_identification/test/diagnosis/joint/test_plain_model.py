@@ -31,9 +31,9 @@ def recording(seed, amplitude_v=20.0, cubic_per_um2=CUBIC_PER_UM2):
     phases = generator.uniform(0.0, 2.0 * np.pi, LINES_HZ.size)
 
     def voltage_v(time_s):
-        angles = 2.0 * np.pi * np.multiply.outer(time_s, LINES_HZ) + phases
+        angles = np.multiply.outer(time_s, 2.0 * np.pi * LINES_HZ) + phases
         # It begins at rest.
-        faded_in = 0.5 - 0.5 * np.cos(np.pi * np.clip(time_s / FADED_IN_S, 0.0, 1.0))
+        faded_in = 0.5 - 0.5 * np.cos(np.pi * np.minimum(time_s / FADED_IN_S, 1.0))
         return faded_in * amplitude_v * np.sqrt(2.0 / LINES_HZ.size) * np.cos(angles).sum(axis=-1)
 
     def moved(time_s, state):
@@ -44,7 +44,7 @@ def recording(seed, amplitude_v=20.0, cubic_per_um2=CUBIC_PER_UM2):
                           - 2.0 * DAMPING_RATIO * MODE_RAD_PER_S * velocity)
 
     time_s = PERIOD_S * np.arange(SAMPLES)
-    found = solve_ivp(moved, (0.0, time_s[-1]), (0.0, 0.0), t_eval=time_s, rtol=1e-7, atol=1e-7)
+    found = solve_ivp(moved, (0.0, time_s[-1]), (0.0, 0.0), "DOP853", time_s, rtol=1e-7, atol=1e-7)
     noise_um = NOISE_UM * generator.normal(size=SAMPLES)
     return Recording(
         path=f"seed {seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),

@@ -9,7 +9,7 @@ from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
-PERIOD_S, NOISE_UM, EXPONENT, PART = 0.02, 0.002, 0.12, 0.05
+PERIOD_S, HELD, NOISE_UM, EXPONENT, PART = 0.04, 1000, 0.002, 0.12, 0.05
 LEVELS_V = (20.0, 80.0, 20.0, 80.0, 20.0)
 MODE_RAD_PER_S = 3000.0
 
@@ -22,11 +22,11 @@ def crept(time_s):
 @pytest.fixture(scope="module")
 def recording(recorded):
     """Steps of a stage without hysteresis that rested at its first level for long."""
-    voltage_v = np.repeat(LEVELS_V, 2000)
+    voltage_v = np.repeat(LEVELS_V, HELD)
     time_s = np.arange(voltage_v.size) * PERIOD_S
     displacement_um = 0.1 * voltage_v
     for number, (before, after) in enumerate(zip(LEVELS_V[:-1], LEVELS_V[1:], strict=True), 1):
-        since = np.maximum(time_s - 2000 * number * PERIOD_S, 0.0)
+        since = np.maximum(time_s - HELD * number * PERIOD_S, 0.0)
         displacement_um += 0.1 * (after - before) * np.where(since > 0.0, crept(since), 0.0)
     return recorded("power of time", voltage_v, displacement_um, PERIOD_S, NOISE_UM)
 
@@ -46,7 +46,7 @@ def test_law_predicts_creep_much_faster_and_slower_than_the_rows(estimate):
     """It is right to a few percent from a tenth of the first row to ten times the last."""
     zeros, poles = (np.array(getattr(estimate.model, name))
                     for name in ("zeros_rad_per_s", "poles_rad_per_s"))
-    time_s = np.geomspace(0.1 * PERIOD_S, 10.0 * 2000 * PERIOD_S, 50)
+    time_s = np.geomspace(0.1 * PERIOD_S, 10.0 * HELD * PERIOD_S, 50)
     # Step response of the product of (s + z) / (s + p), by its residues at its poles.
     parts = np.array([np.prod(zeros - pole) / np.prod(np.delete(poles, place) - pole) / -pole
                       for place, pole in enumerate(poles)])
