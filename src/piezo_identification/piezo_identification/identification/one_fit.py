@@ -158,7 +158,9 @@ class _Search:
 
         No Preisach hysteresis has loops that drift and do not close.
         """
-        if self.given.model.hysteresis.is_line or is_at_noise(state.problem, state.best):
+        shows_loops = not self.given.model.hysteresis.is_line or any(
+            experiment_of(name) == "hysteresis" for name in self.read_late_s)
+        if not shows_loops or is_at_noise(state.problem, state.best):
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
