@@ -76,7 +76,7 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     """
     early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
     part = after_saturation(model, recording.select(early))
-    if _starts_saturated(part):
+    if not model.has_hysteresis or _starts_saturated(part):
         return ()
     past_v = _closest_past_v(part)
     explains_more = (
@@ -144,6 +144,8 @@ def is_long_enough(model: StageModel, recording: Recording) -> bool:
 def _starts_saturated(part: SimulatedRecording) -> bool:
     """Tell whether the voltage is at an end of the model's range at or before the first sample."""
     hysteresis, before_v = part.model.hysteresis, part.earlier_v
+    if hysteresis.is_line:  # that of an effect is at rest at first, wherever the voltage is
+        return False
     near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
     return bool(np.any((before_v <= hysteresis.voltage_min_v + near_v)
                        | (before_v >= hysteresis.voltage_max_v - near_v)))

@@ -37,6 +37,7 @@ from piezo_models.effects.amplifier_lag import (
     with_overshoot,
 )
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage, means_of_parts
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -133,6 +134,8 @@ class SimulatedRecording:
         other = copy(self)
         other.past_v = past_v
         other.highest_v = self.highest_v if highest_v is None else highest_v
+        if any(isinstance(effect, BoucWenHysteresis) for effect in self.model.effects):
+            vars(other).pop("_amplified_v", None)
         other._forget_hysteresis()
         other._forget_linear()
         return other
@@ -364,9 +367,11 @@ class SimulatedRecording:
             self._joined, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
             self.samples_per_mean)
         period_s = self.sample_period_s / parts
-        voltage_v = self.model.amplified(voltage_v, period_s)
-        for effect in effects:
-            if effect.place == "voltage":
+        for effect in (*self.model.effects, *effects):
+            if isinstance(effect, BoucWenHysteresis) and self.past_v:
+                before = effect.advance(np.array(self.past_v), period_s)[1]
+                voltage_v = effect.advance(voltage_v, period_s, before)[0]
+            elif effect.place == "voltage":
                 voltage_v = effect.apply(voltage_v, period_s)
         return voltage_v
 

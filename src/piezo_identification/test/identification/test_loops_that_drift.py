@@ -24,9 +24,9 @@ def turning(levels_v, rows):
     return np.interp(np.linspace(0.0, along[-1], rows), along, levels_v)
 
 
-def measured(voltage_v, seed):
+def measured(voltage_v, seed, taken_v=0.0):
     """Solve the equation of Dahl from row to row, and add noise."""
-    taken_v, last_v = [0.0], voltage_v[0]
+    taken_v, last_v = [taken_v], voltage_v[0]
     for next_v in voltage_v[1:]:
         sign = np.sign(next_v - last_v)
         taken_v.append(solve_ivp(
@@ -57,6 +57,14 @@ def test_the_equation_is_found_with_its_parameters(identified):
 def test_small_loops_off_the_centre_are_predicted(identified):
     levels_v = [50.0, 80.0, 60.0, 75.0, 20.0, 40.0, 25.0, 90.0, 70.0, 85.0, 50.0]
     unseen = measured(turning(levels_v, 800), 2)
+    noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
+    assert unseen_errors(identified.model, unseen)["e_y_percent"] < 1.5 * noise_percent
+
+
+@pytest.mark.parametrize("taken_v", [-4.0, 3.0])
+def test_the_past_of_a_recording_is_found(identified, taken_v):
+    levels_v = [50.0, 55.0, 48.0, 56.0, 47.0, 53.0, 50.0]
+    unseen = measured(turning(levels_v, 400), 3, taken_v)
     noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
     assert unseen_errors(identified.model, unseen)["e_y_percent"] < 1.5 * noise_percent
 
