@@ -336,6 +336,10 @@ class WholeModel:
             descent.vector, self._counts, descent.has_converged, descent.gain,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
 
+    def is_possible(self, fit: WholeFit) -> bool:
+        """Return whether a stage can have all effects of a fit; see `Effect.impossible`."""
+        return not any(effect.impossible(self._dataset.extent) for effect in fit.model.effects)
+
     def over_noise(self, fit: WholeFit) -> FloatArray:
         """Return the residual of each recording and response over its noise and accuracy, (R,)."""
         residual_um = [np.sqrt(np.mean(residual**2)) for residual, _ in fit.residual_um]

@@ -172,7 +172,7 @@ class _Search:
                 return state
             best, changed = searched(problem, best, self._part(1.0, 0.0), self.is_asked_for)
             self.tried.extend(changed)
-            if is_better(best, state.best):
+            if is_better(best, state.best) and problem.is_possible(best):
                 return _State(self._given_with_line(problem), best, problem)
         return state
 

@@ -21,6 +21,7 @@ from piezo_identification.fitting.structure_search import (
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeModel
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.amplifier_lag import AmplifierLag
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -328,6 +329,15 @@ def test_a_structure_that_one_step_leaves_far_behind_gets_no_other(wrong, behind
                              fastest_over_noise=lambda fit: 1.0), best)
     assert begun_with and set(begun_with) == {1}
     assert bool(continued) == is_continued
+
+
+@pytest.mark.parametrize("relaxation_v, is_possible", [(8.0, True), (3.0, False)])
+def test_a_hysteresis_that_would_move_the_stage_back_is_not_possible(
+        wrong, recordings, relaxation_v, is_possible):
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    loops = BoucWenHysteresis(2.0, relaxation_v)
+    assert problem.is_possible(SimpleNamespace(
+        model=replace(wrong, effects=(loops,)))) == is_possible
 
 
 @pytest.mark.parametrize("gain, numbers, is_moved", [
