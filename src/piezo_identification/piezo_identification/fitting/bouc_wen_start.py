@@ -16,6 +16,7 @@ RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 12))
 """Relaxation voltages that are tried, relative to half the range."""
 
 UNLOADINGS = (0.0, 0.5, 1.0, 2.0)
+"""Factors of unloading that are tried with each of them."""
 
 
 def with_bouc_wen(model: StageModel, line: PreisachModel,
@@ -37,6 +38,7 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     bare = replace(model, hysteresis=line, effects=(*ahead, *behind))
     widest = max(parts, key=lambda part: float(np.ptp(part.measured_um))).with_model(bare)
     rows, without_um = widest.good, widest.simulate()
+    measured_um = widest.measured_um[rows]
     nuisance = widest.nuisance_regressors(rows)
     half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
     found = []
@@ -46,9 +48,9 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
         loops = BoucWenHysteresis(most_v, relaxation_v, unloading)
         columns = np.column_stack([
             without_um[rows], (widest.simulate((loops,)) - without_um)[rows], nuisance])
-        sizes, *_ = np.linalg.lstsq(columns, widest.measured_um[rows], rcond=1e-12)
+        sizes, *_ = np.linalg.lstsq(columns, measured_um, rcond=1e-12)
         part = float(np.clip(sizes[1] / sizes[0], 1e-3, 1.0)) if sizes[0] > 0.0 else 1e-3
-        left_um = widest.measured_um[rows] - columns @ sizes
+        left_um = measured_um - columns @ sizes
         found.append((left_um @ left_um, sizes[0], replace(loops, saturation_v=part * most_v)))
     _, gain, loops = min(found, key=lambda entry: entry[0])
     return replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
