@@ -37,7 +37,6 @@ from piezo_models.effects.amplifier_lag import (
     with_overshoot,
 )
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage, means_of_parts
-from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
@@ -134,7 +133,9 @@ class SimulatedRecording:
         other = copy(self)
         other.past_v = past_v
         other.highest_v = self.highest_v if highest_v is None else highest_v
-        if any(isinstance(effect, BoucWenHysteresis) for effect in self.model.effects):
+        earlier_v = past_v or self.past_v
+        if earlier_v and any(effect.memory_after(earlier_v) is not None
+                             for effect in self.model.effects_at("voltage")):
             vars(other).pop("_amplified_v", None)
         other._forget_hysteresis()
         other._forget_linear()
@@ -368,11 +369,9 @@ class SimulatedRecording:
             self.samples_per_mean)
         period_s = self.sample_period_s / parts
         for effect in (*self.model.effects, *effects):
-            if isinstance(effect, BoucWenHysteresis) and self.past_v:
-                before = effect.advance(np.array(self.past_v), period_s)[1]
-                voltage_v = effect.advance(voltage_v, period_s, before)[0]
-            elif effect.place == "voltage":
-                voltage_v = effect.apply(voltage_v, period_s)
+            if effect.place == "voltage":
+                past = effect.memory_after(self.past_v) if self.past_v else None
+                voltage_v = effect.advance(voltage_v, period_s, past)[0]
         return voltage_v
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray,

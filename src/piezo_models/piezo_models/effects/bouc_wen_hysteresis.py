@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
@@ -74,6 +75,10 @@ class BoucWenHysteresis(Effect):
         taken = _taken(signal, last_v, taken_v, self.saturation_v, self.relaxation_v,
                        self.unloading)
         return signal - taken, (float(signal[-1]), float(taken[-1]))
+
+    def memory_after(self, voltage_v: ArrayLike) -> Any:
+        """Return the memory after voltages; as the equation has no time, their period is free."""
+        return self.advance(np.asarray(voltage_v, dtype=float), 1.0)[1]
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Self, TypeVar
 
 import control
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -199,6 +200,13 @@ class Effect(ABC):
             return self.apply(signal, sample_period_s), None
         whole = signal if past is None else np.concatenate([past, signal])
         return self.apply(whole, sample_period_s)[whole.size - signal.size :], whole
+
+    def memory_after(self, voltage_v: ArrayLike) -> Any:
+        """Return the memory for `advance` after earlier voltages, or None without a memory.
+
+        The time between them has no effect: only hysteresis remembers voltages of long ago.
+        """
+        del voltage_v
 
     def acts_at_once(self, sample_period_s: float) -> bool:
         """Return True if every sample depends only on itself and on its time."""

@@ -263,6 +263,16 @@ def test_what_an_effect_applies_is_what_it_does_in_parts():
                 np.concatenate(behind), effect.apply(signal, PERIOD_S), rtol=0.0, atol=1e-12)
 
 
+def test_only_loops_that_drift_remember_voltages_of_long_ago():
+    earlier_v, signal = wave(300, 2), wave(200, 3)
+    remembering = {effect: past for effect in EXAMPLES if effect.place == "voltage"
+                   and (past := effect.memory_after(earlier_v)) is not None}
+    assert {effect.name for effect in remembering} == {"bouc_wen_hysteresis"}
+    for effect, past in remembering.items():
+        behind = effect.apply(np.append(earlier_v, signal), PERIOD_S)[earlier_v.size :]
+        np.testing.assert_array_equal(effect.advance(signal, PERIOD_S, past)[0], behind)
+
+
 @pytest.mark.parametrize("period_s", [PERIOD_S, 1.0])
 def test_a_sample_changes_no_other_behind_effects_that_act_at_once(period_s):
     signal, changed = wave(), wave()
