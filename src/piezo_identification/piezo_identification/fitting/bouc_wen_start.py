@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.bouc_wen_hysteresis import STEEPEST, BoucWenHysteresis
@@ -17,6 +18,10 @@ RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 12))
 
 UNLOADINGS = (0.0, 0.5, 1.0, 2.0)
 """Factors of unloading that are tried with each of them."""
+
+
+LEAST_TAKEN = 1e-3
+"""Smallest saturation, relative to the largest possible one."""
 
 
 def with_bouc_wen(model: StageModel, line: PreisachModel,
@@ -31,27 +36,43 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     line : PreisachModel
         What takes the place of the loops, behind the Bouc-Wen hysteresis.
     parts : sequence of SimulatedRecording
-        Recordings; the one with the largest displacement gives the saturation.
+        Recordings, each of which counts as much as the others: a few steps show no shape.
     """
     ahead = tuple(effect for effect in model.effects if effect.place == "voltage")
     behind = tuple(effect for effect in model.effects if effect.place != "voltage")
     bare = replace(model, hysteresis=line, effects=(*ahead, *behind))
-    widest = max(parts, key=lambda part: float(np.ptp(part.measured_um))).with_model(bare)
-    rows, without_um = widest.good, widest.simulate()
-    measured_um = widest.measured_um[rows]
-    nuisance = widest.nuisance_regressors(rows)
+    bare_parts = [part.with_model(bare) for part in parts]
+    without_um, measured_um = (_without_nuisance(bare_parts, signals) for signals in (
+        [part.simulate() for part in bare_parts], [part.measured_um for part in bare_parts]))
     half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
     found = []
     for relaxation, unloading in product(RELAXATIONS, UNLOADINGS):
         relaxation_v = half_v * relaxation
         most_v = STEEPEST * relaxation_v / (1.0 + unloading)
         loops = BoucWenHysteresis(most_v, relaxation_v, unloading)
-        columns = np.column_stack([
-            without_um[rows], (widest.simulate((loops,)) - without_um)[rows], nuisance])
-        sizes, *_ = np.linalg.lstsq(columns, measured_um, rcond=1e-12)
-        part = float(np.clip(sizes[1] / sizes[0], 1e-3, 1.0)) if sizes[0] > 0.0 else 1e-3
-        left_um = measured_um - columns @ sizes
-        found.append((left_um @ left_um, sizes[0], replace(loops, saturation_v=part * most_v)))
+        taken_um = without_um - _without_nuisance(
+            bare_parts, [part.simulate((loops,)) for part in bare_parts])
+        (gain, lost), *_ = np.linalg.lstsq(
+            np.column_stack([without_um, -taken_um]), measured_um, rcond=1e-12)
+        taken = float(np.clip(lost / gain, LEAST_TAKEN, 1.0)) if gain > 0.0 else LEAST_TAKEN
+        moved_um = without_um - taken * taken_um
+        gain = float(moved_um @ measured_um / (moved_um @ moved_um))
+        left_um = measured_um - gain * moved_um
+        found.append((left_um @ left_um, gain, replace(loops, saturation_v=taken * most_v)))
     _, gain, loops = min(found, key=lambda entry: entry[0])
     return replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
                    effects=(*ahead, loops, *behind))
+
+
+def _without_nuisance(parts: Sequence[SimulatedRecording],
+                      signals: Sequence[FloatArray]) -> FloatArray:
+    """Return the good rows of signals with offset and initial creep projected out, joined.
+
+    Each recording has the same weight.
+    """
+    joined = []
+    for part, signal in zip(parts, signals, strict=True):
+        basis = np.linalg.qr(part.nuisance_regressors(part.good))[0]
+        rows = signal[part.good]
+        joined.append((rows - basis @ (basis.T @ rows)) / np.sqrt(rows.size))
+    return np.concatenate(joined)

@@ -102,18 +102,37 @@ class _Search:
             self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
         if rival is not None and not _is_promising(states[0].best, rival):
             return states[0]
-        state = self._from(states[0], BEGUN, length)
+        first = self._with_renewed_loops(states[0], BEGUN)
+        drifting = self._with_bouc_wen(first, BEGUN)
+        # A search behind loops of the wrong kind would describe them by dynamics.
+        is_drifting = is_better(drifting.best, first.best)
+        if is_drifting:
+            drifting = self._searched(drifting, BEGUN, length)
+            if is_at_noise(drifting.problem, drifting.best) or not _is_promising(
+                    first.best, drifting.best):
+                return drifting
+        state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
+        if not is_drifting:
+            drifting = self._with_bouc_wen(state, 1.0)
+            if drifting is not state and _is_promising(drifting.best, state.best):
+                drifting = self._searched(drifting, 1.0, 0.0)
+        return drifting if is_better(drifting.best, state.best) else state
+
+    def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
+        """Search from the first start, and from others that may become better than its result."""
+        state = self._from(first, BEGUN, length)
         with while_time_lasts("the search from another start"):
-            for number, start in enumerate(states[1:], 1):
+            for number, start in enumerate(others, 1):
                 check_cancelled()
                 # It has to make up for what the search before has gained, too. The search makes
                 # an amplifier simpler itself.
                 is_new = (_is_promising(start.best, state.best) if has_amplifier(start.best)
                           else is_better(start.best, state.best))
                 if is_new and not is_at_noise(state.problem, state.best):
-                    other = self._from(start, BEGUN + number * length, length)
+                    begin = BEGUN + number * length
+                    other = self._from(self._with_renewed_loops(start, begin), begin, length)
                     state = other if is_better(other.best, state.best) else state
-        return self._or_of_bouc_wen(self._or_of_a_line(state, delay_s))
+        return state
 
     def with_held_out_rows(self, state: _State) -> _State:
         """Return a state refitted to all rows: those that were held out have chosen its structure.
@@ -153,10 +172,11 @@ class _Search:
     def _given_with_line(self, problem: WholeModel) -> FittedModel:
         return replace(self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool))
 
-    def _or_of_bouc_wen(self, state: _State) -> _State:
-        """Return a state, or the best one with a Bouc-Wen hysteresis if that follows loops better.
+    def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
+        """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
 
-        No Preisach hysteresis has loops that drift and do not close.
+        No Preisach hysteresis has loops that drift and do not close. A state at the noise or
+        without recorded loops is returned as it is, and so is any when the time is over.
         """
         shows_loops = not self.given.model.hysteresis.is_line or any(
             experiment_of(name) == "hysteresis" for name in self.read_late_s)
@@ -164,31 +184,31 @@ class _Search:
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
-            self.report(BOUC_WEN, 1.0)
+            self.report(BOUC_WEN, fraction)
             problem, start = state.problem.with_bouc_wen(state.best.model)
             best = problem.fit(start, state.best.delay_s, SETTINGS.steps)
             self.tried.append((BOUC_WEN, best))
-            if not _is_promising(best, state.best):
-                return state
-            best, changed = searched(problem, best, self._part(1.0, 0.0), self.is_asked_for)
-            self.tried.extend(changed)
-            if is_better(best, state.best) and problem.is_possible(best):
+            if problem.is_possible(best):
                 return _State(self._given_with_line(problem), best, problem)
         return state
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
-        """Estimate the loops again before and after the search for the structure."""
-        state = self._with_renewed_loops(start, begin)
+        """Search for the structure, and estimate the loops again after that."""
+        state = self._searched(
+            start, begin + RENEWED * length, (1.0 - 2.0 * RENEWED) * length)
         end = begin + (1.0 - RENEWED) * length
-        best, changed = searched(state.problem, state.best, self._part(
-            begin + RENEWED * length, (1.0 - 2.0 * RENEWED) * length), self.is_asked_for)
-        self.tried.extend(changed)
-        state = replace(state, best=best)
         for _ in range(LOOPS):
             before, state = state, self._with_renewed_loops(state, end, NARROW_PRIOR)
             if not state.best.is_closer_than(before.best):
                 break
         return state
+
+    def _searched(self, start: _State, begin: float, length: float) -> _State:
+        best, changed = searched(
+            start.problem, start.best, self._part(begin, length), self.is_asked_for)
+        self.tried.extend(changed)
+        is_possible = start.problem.is_possible(best) or not start.problem.is_possible(start.best)
+        return replace(start, best=best) if is_possible else start
 
     def _with_renewed_loops(self, before: _State, fraction: float,
                             width: float = WIDE_PRIOR) -> _State:

@@ -14,7 +14,7 @@ from piezo_identification.simulation.simulated_recording import PastVoltages, Si
 from piezo_models.cascade import StageModel
 from piezo_recorder.reading.recording import Recording
 
-FEWEST_SAMPLES = 500
+FEWEST_SAMPLES = 100
 """Fewest samples of a recording that is fitted: a third is held out, and a dozen effects are
 fitted."""
 

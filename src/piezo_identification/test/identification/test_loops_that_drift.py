@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from piezo_identification import identify
+from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.model_summary import main_results
@@ -40,9 +41,12 @@ def measured(voltage_v, seed, taken_v=0.0):
 
 @pytest.fixture(scope="module")
 def identified():
+    """The stage identified from loops, and from larger steps that show no shape of a loop."""
+    steps_v = np.repeat([50.0, 1.0, 99.0, 50.0], 30)
     sizes_v = np.linspace(48.0, 4.0, 12)
     levels_v = 50.0 + np.r_[0.0, np.column_stack([sizes_v, -sizes_v]).ravel(), 0.0]
-    return identify(hysteresis=measured(turning(levels_v, 1500), 1))
+    return identify(creep=measured(steps_v, 4), hysteresis=measured(turning(levels_v, 1000), 1),
+                    density=DensityOptions(20, 1e-10, 1e-10))
 
 
 def test_the_equation_is_found_with_its_parameters(identified):

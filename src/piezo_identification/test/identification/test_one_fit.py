@@ -39,7 +39,7 @@ def test_rows_that_were_taken_for_late_are_read_with_their_voltage(plant, play):
 
 
 def test_short_stretches_are_fitted_where_an_experiment_has_no_others_alone(plant, recorded):
-    rows = {"dynamics": 400, "hysteresis": 4000, "hysteresis 2": 300}
+    rows = {"dynamics": 80, "hysteresis": 4000, "hysteresis 2": 60}
     given = {name: recorded(name, np.arange(count) % 7.0, np.zeros(count), 1e-3)
              for name, count in rows.items()}
     assert [*_long_ones(plant, given)] == ["dynamics", "hysteresis"]

@@ -68,8 +68,9 @@ FOLLOWED = 3
 ENDED = 2
 """Number of the best of those starts that are fitted to the end."""
 
-HOPELESS = 10.0
-"""Ratio to the residual power of free residues above which a form is not fitted to the end."""
+HOPELESS = 1000.0
+"""Ratio to the residual power of free residues above which a form is not fitted to the end. The lag
+of a sensor that is yet to be found may leave a hundred times as much."""
 
 LAGGING_FORMS = 2
 """Number of forms, the best of as many modes, that are tried with a sensor lag."""
