@@ -99,7 +99,7 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
     ----------
     recordings : sequence of Recording
         Recordings with the sign of the model and with marked outliers.
-    past_v : (float, float) or (), optional
+    past_v : tuple of float, optional
         Voltages that the hysteresis went through before each recording; by default those of
         `starting_past_v`.
     sensitivities : callable

@@ -15,6 +15,7 @@ from piezo_identification.conditioning.segments import longest_stretch
 from piezo_identification.conditioning.sensor_sign import sign_text
 from piezo_identification.prediction.prediction import Prediction, predict
 from piezo_identification.simulation.past_search import after_saturation, conditioned
+from piezo_identification.simulation.simulated_recording import PastVoltages
 from piezo_models.cascade import StageModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_recorder.reading.recording import Recording
@@ -113,9 +114,16 @@ def predict_as_identified(
     if not prediction.good.all():
         sentences.append(outlier_text(recording.path, ~prediction.good, prediction.time_s))
     if prediction.past_v:
-        sentences.append("{}: it does not begin saturated: taken to have come from {:.4g} V by way "
-                         "of {:.4g} V".format(recording.path, *prediction.past_v))
+        sentences.append(f"{recording.path}: it does not begin saturated: taken to have "
+                         f"{_of_past(prediction.past_v)}")
     return prediction, [*sentences, *_gain_sentences(prediction, recording.path)]
+
+
+def _of_past(past_v: PastVoltages) -> str:
+    """Return how a stage reached the first voltage: by two extremes, or by ever smaller swings."""
+    if len(past_v) == 2:
+        return "come from {:.4g} V by way of {:.4g} V".format(*past_v)
+    return f"been demagnetised about {past_v[-1]:.4g} V"
 
 
 def _gain_sentences(prediction: Prediction, path: str) -> list[str]:

@@ -12,6 +12,7 @@ from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
+from piezo_models.hysteresis.pasts import demagnetising_v
 from piezo_recorder.reading.recording import Recording
 
 FEWEST_SAMPLES = 100
@@ -65,20 +66,23 @@ def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, boo
 def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     """Estimate the voltages before a recording, as far as the recording depends on them.
 
-    Unless the hysteresis is saturated at the start, a recording depends on its past. The highest
-    and then the lowest earlier voltage are fitted, which represent the first turning points of any
-    past. They are used if the error is clearly smaller than with a past from negative saturation.
+    Unless the hysteresis is saturated at the start, a recording depends on its past. Two pasts are
+    fitted: the highest and then the lowest earlier voltage, which represent the first turning
+    points of any past, and swings that became smaller about some voltage, which leave the stage
+    demagnetised. The better one is used if the error is clearly smaller than with a past from
+    negative saturation.
 
     Returns
     -------
-    (float, float) or ()
-        The highest and the lowest voltage; empty if they are not used.
+    tuple of float
+        Extreme voltages in their order; empty if they are not used.
     """
     early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
     part = after_saturation(model, recording.select(early))
     if not model.has_hysteresis or _starts_saturated(part):
         return ()
-    past_v = _closest_past_v(part)
+    past_v = min(_closest_past_v(part), _closest_demagnetised_v(part),
+                 key=lambda past_v: part.after(past_v).error_um())
     explains_more = (
         part.after(past_v).error_um() < SETTINGS.largest_error_ratio * part.error_um())
     return past_v if explains_more else ()
@@ -115,7 +119,7 @@ def simulated_recording(model: StageModel, recording: Recording,
     ----------
     recording : Recording
         Recording with the sign of the model and with its outliers marked.
-    past_v : (float, float) or (), optional
+    past_v : tuple of float, optional
         Voltages before the recording; by default those of `starting_past_v`.
     read_late_s : float
         Time after its voltage at which the displacement of a row is read; 0 for means.
@@ -149,6 +153,28 @@ def _starts_saturated(part: SimulatedRecording) -> bool:
     near_v = NEAR_THE_END * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
     return bool(np.any((before_v <= hysteresis.voltage_min_v + near_v)
                        | (before_v >= hysteresis.voltage_max_v - near_v)))
+
+
+def _closest_demagnetised_v(part: SimulatedRecording) -> PastVoltages:
+    """Find the swings about the first or another voltage with the smallest error."""
+    hysteresis = part.model.hysteresis
+    low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+
+    def swings_v(centre_v: float) -> PastVoltages:
+        return tuple(demagnetising_v(centre_v, low_v, high_v).tolist())
+
+    def error_um(centre_v: float) -> float:
+        return part.after(swings_v(centre_v)).error_um()
+
+    best_v = float(np.clip(part.earlier_v[0], low_v, high_v))
+    spacing_v = (high_v - low_v) / (SETTINGS.grid_points + 1)
+    candidates_v = low_v + spacing_v * np.arange(1, SETTINGS.grid_points + 1)
+    for _ in range(SETTINGS.rounds):
+        best_v = min([best_v, *candidates_v.tolist()], key=error_um)
+        candidates_v = np.clip(best_v + spacing_v * np.linspace(
+            -1.0, 1.0, SETTINGS.grid_points), low_v, high_v)
+        spacing_v /= SETTINGS.grid_points
+    return swings_v(best_v)
 
 
 def _closest_past_v(part: SimulatedRecording) -> tuple[float, float]:

@@ -60,8 +60,8 @@ KEPT = 32
 SETTINGS = SimulationSettings()
 
 
-PastVoltages = tuple[float, float] | tuple[()]
-"""Highest and then lowest voltage before a recording; empty if it begins saturated."""
+PastVoltages = tuple[float, ...]
+"""Extreme voltages before a recording, in their order; empty if it begins saturated."""
 
 
 class SimulatedRecording:
@@ -74,7 +74,7 @@ class SimulatedRecording:
 
     Attributes
     ----------
-    past_v : (float, float) or ()
+    past_v : tuple of float
         Voltages before the recording; none unless given by `after`.
     highest_v : float
         Highest earlier voltage, for a first rise; the stage was cycled unless given by `after`.

@@ -99,6 +99,19 @@ def test_a_recording_that_begins_anywhere_is_predicted_from_the_past_that_fits_b
     assert from_below.past_v == ()
 
 
+@pytest.mark.parametrize(("centre_v", "first_v"), [(40.0, 40.0), (70.0, 70.0), (60.0, 35.0)])
+def test_a_demagnetised_stage_is_predicted_from_its_first_row_on(plant, centre_v, first_v):
+    stage = StageModel(plant.hysteresis, CreepDynamics(), ElectricVibrationDynamics())
+    swings_v = centre_v + 60.0 * np.linspace(1.0, 0.0, 20_000) * np.sin(np.arange(20_000))
+    turns_v = np.array([first_v, 80.0, 30.0, 65.0, 5.0, 60.0])
+    voltage_v = np.concatenate([
+        np.linspace(*ends, 300) for ends in zip(turns_v[:-1], turns_v[1:], strict=True)])
+    displacement_um = stage.simulate(np.append(swings_v, voltage_v), 0.01)[swings_v.size :]
+    recording = recording_of({"time_s": 0.01 * np.arange(voltage_v.size), "voltage_v": voltage_v,
+                              "displacement_um": displacement_um})
+    assert predict(stage, recording).e_y_percent() < 0.02
+
+
 def test_a_play_begins_at_the_rest_before_the_recording(plant, play):
     """The ramp to the first voltage takes up the play of the plant."""
     worn = replace(plant, effects=(Backlash(0.5),))

@@ -8,7 +8,7 @@ from piezo_common.arrays import FloatArray
 PASTS = ("rising", "falling", "demagnetised")
 """From the lowest voltage, from the highest, or by swings of decreasing amplitude."""
 
-SWINGS = 40
+SWINGS = 100
 """Number of swings of a demagnetising voltage."""
 
 
@@ -21,5 +21,14 @@ def past_voltages(past: str, first_v: float, low_v: float, high_v: float) -> Flo
         return np.array([low_v])
     if past == "falling":
         return np.array([low_v, high_v])
-    part = 1.0 - np.arange(SWINGS) / SWINGS
-    return first_v + part * np.where(np.arange(SWINGS) % 2, high_v - first_v, low_v - first_v)
+    return demagnetising_v(first_v, low_v, high_v)
+
+
+def demagnetising_v(centre_v: float, low_v: float, high_v: float) -> FloatArray:
+    """Return the extremes of swings about a voltage that become smaller, within a range, (K,).
+
+    Plays are then in the middle of their widths, as those of a simulated stage usually begin.
+    """
+    largest_v = max(high_v - centre_v, centre_v - low_v)
+    swings_v = largest_v * (1.0 - np.arange(SWINGS) / SWINGS) * (-1.0) ** np.arange(SWINGS)
+    return np.clip(centre_v + swings_v, low_v, high_v)
