@@ -94,7 +94,8 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     if not model.has_hysteresis:
         visited = ", without hysteresis"
     elif model.hysteresis.is_line:
-        visited = ", with a hysteresis in front of a line"
+        is_curve = np.ptp(model.hysteresis.reversible_um_per_v) > 0.0
+        visited = f", with a hysteresis in front of a {'curve' if is_curve else 'line'}"
     elif identified.visited is not None:
         visited = (f", {100.0 * visited_fraction(identified.visited):.3g} % of the Preisach plane "
                    "visited")

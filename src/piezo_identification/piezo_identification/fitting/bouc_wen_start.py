@@ -29,7 +29,8 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     """Return a model with the best Bouc-Wen hysteresis of a scan in place of its own.
 
     What the hysteresis takes from the voltage is in proportion to its saturation, so that a
-    regression gives the saturation of each shape.
+    regression gives the saturation of each shape. The square and the cube of the displacement are
+    regressors, too: a curve would otherwise distort the shape.
 
     Parameters
     ----------
@@ -42,8 +43,13 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     behind = tuple(effect for effect in model.effects if effect.place != "voltage")
     bare = replace(model, hysteresis=line, effects=(*ahead, *behind))
     bare_parts = [part.with_model(bare) for part in parts]
-    without_um, measured_um = (_without_nuisance(bare_parts, signals) for signals in (
-        [part.simulate() for part in bare_parts], [part.measured_um for part in bare_parts]))
+    simulated_um = [part.simulate() for part in bare_parts]
+    low_um, high_um = line.output_range_um
+    bends = [_without_nuisance(bare_parts, [
+        ((each - low_um) / (high_um - low_um) - 0.5) ** power for each in simulated_um])
+        for power in (2, 3)]
+    without_um = _without_nuisance(bare_parts, simulated_um)
+    measured_um = _without_nuisance(bare_parts, [part.measured_um for part in bare_parts])
     half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
     found = []
     for relaxation, unloading in product(RELAXATIONS, UNLOADINGS):
@@ -52,16 +58,21 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
         loops = BoucWenHysteresis(most_v, relaxation_v, unloading)
         taken_um = without_um - _without_nuisance(
             bare_parts, [part.simulate((loops,)) for part in bare_parts])
-        (gain, lost), *_ = np.linalg.lstsq(
-            np.column_stack([without_um, -taken_um]), measured_um, rcond=1e-12)
+        gain, lost, *_ = _regression([without_um, -taken_um, *bends], measured_um)[0]
         taken = float(np.clip(lost / gain, LEAST_TAKEN, 1.0)) if gain > 0.0 else LEAST_TAKEN
-        moved_um = without_um - taken * taken_um
-        gain = float(moved_um @ measured_um / (moved_um @ moved_um))
-        left_um = measured_um - gain * moved_um
-        found.append((left_um @ left_um, gain, replace(loops, saturation_v=taken * most_v)))
+        (gain, *_), squares = _regression(
+            [without_um - taken * taken_um, *bends], measured_um)
+        found.append((squares, float(gain), replace(loops, saturation_v=taken * most_v)))
     _, gain, loops = min(found, key=lambda entry: entry[0])
     return replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
                    effects=(*ahead, loops, *behind))
+
+
+def _regression(columns: Sequence[FloatArray], target: FloatArray) -> tuple[FloatArray, float]:
+    """Return the coefficients of columns that fit a target best, and the squared residual."""
+    matrix = np.column_stack(columns)
+    sizes = np.asarray(np.linalg.lstsq(matrix, target, rcond=1e-12)[0], dtype=float)
+    return sizes, float(np.sum((target - matrix @ sizes) ** 2))
 
 
 def _without_nuisance(parts: Sequence[SimulatedRecording],

@@ -57,6 +57,8 @@ class FreeWidths:
     """Width of the reversible part at a knot of the voltage, relative to the mean gain of the
     hysteresis."""
     reversible_knots: int = 4
+    curve_knots: int = 8
+    """Number of knots where there is no density: the reversible part is then the whole curve."""
 
 
 WIDTHS = FreeWidths()
@@ -252,8 +254,8 @@ def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
     """Return the changes in widths below which the hysteresis would become negative, (n,)."""
     surfaces, _ = _shapes(hysteresis)
     size = len(hysteresis.density_um_per_v2)
-    at_knots = np.interp(np.linspace(0.0, 1.0, WIDTHS.reversible_knots),
-                         (np.arange(size) + 0.5) / size, hysteresis.reversible_um_per_v)
+    at_knots = np.interp(_knots(hysteresis), (np.arange(size) + 0.5) / size,
+                         hysteresis.reversible_um_per_v)
     return np.concatenate([np.full(surfaces.shape[1], -1.0 / WIDTHS.factor),
                            -at_knots / (WIDTHS.reversible * _mean_gain(hysteresis))])
 
@@ -359,12 +361,17 @@ def _shapes(hysteresis: PreisachModel) -> tuple[csc_array, FloatArray]:
     They are cached, because fits need them at every step: callers must not change them.
     """
     size = len(hysteresis.density_um_per_v2)
-    knots = np.linspace(0.0, 1.0, WIDTHS.reversible_knots)
-    middles = (np.arange(size) + 0.5) / size
+    knots, middles = _knots(hysteresis), (np.arange(size) + 0.5) / size
     hats = np.array([np.interp(middles, knots, hat) for hat in np.eye(knots.size)])
     surfaces = _sparse_surfaces(size)
     present = hysteresis.density_um_per_v2.ravel() != 0.0
     return surfaces[:, surfaces.T @ present.astype(float) > 0.0], hats
+
+
+def _knots(hysteresis: PreisachModel) -> FloatArray:
+    """Return the knots of the reversible part, (k,), with the range scaled to 0 to 1."""
+    is_curve = hysteresis.is_line and len(hysteresis.density_um_per_v2) > 1
+    return np.linspace(0.0, 1.0, WIDTHS.curve_knots if is_curve else WIDTHS.reversible_knots)
 
 
 @lru_cache(maxsize=KEPT)

@@ -50,6 +50,9 @@ BEFORE_DELAY = ("voltage", "modes")
 LEAST_GAIN = 1e-9
 """Smallest gain of a line, in um/V, so that it is not negative."""
 
+CURVE_CELLS = 40
+"""Number of cells of a curve, whose slopes are interpolated between a few knots."""
+
 WIDE_PRIOR, NARROW_PRIOR = 2.0, 0.02
 """Prior widths of the changes of the hysteresis, relative to those of a joint fit with new
 recordings. Loops estimated with an approximate creep may be far off; those estimated with a fitted
@@ -211,10 +214,9 @@ class WholeModel:
         self._are_all_fitted = False
         self.about_here()
 
-    def with_hysteresis(self, model: StageModel, width: float) -> "WholeModel":
+    def with_hysteresis(self, model: StageModel, width: float,
+                        past_v: PastVoltages | None = None) -> "WholeModel":
         """Return the problem with the hysteresis of a model, which also chooses the pasts.
-
-        Each recording has the past that the model finds, or keeps its own if that is closer.
 
         Parameters
         ----------
@@ -222,6 +224,9 @@ class WholeModel:
             Model with all of its effects.
         width : float
             Prior width of the changes of the hysteresis.
+        past_v : tuple of float, optional
+            Voltages before each recording. By default each has the past that the model finds, or
+            keeps its own if that is closer.
         """
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
@@ -231,11 +236,12 @@ class WholeModel:
         problem._dataset = replace(
             self._dataset, model=replace(model, effects=()),
             simulated=tuple(side_by_side(
-                lambda index: self._after_closest_past(model, index),
+                lambda index: self._after_past(model, index, past_v),
                 range(len(self._dataset.simulated)))))
         return problem
 
-    def _after_closest_past(self, model: StageModel, index: int) -> SimulatedRecording:
+    def _after_past(self, model: StageModel, index: int,
+                    given_v: PastVoltages | None) -> SimulatedRecording:
         """Return a recording simulated by a model without effects, after the closest past."""
         before = self._dataset.simulated[index]
         mask = [*self._dataset.masks()][index]
@@ -245,8 +251,8 @@ class WholeModel:
             return simulated_recording(
                 model, self._dataset.recordings[index], past_v, before.read_late_s)
 
-        found = after(None)
-        if found.past_v != before.past_v:
+        found = after(given_v)
+        if given_v is None and found.past_v != before.past_v:
             found = min(found, after(before.past_v), key=lambda part: part.error_um(rows))
         return found.with_model(replace(model, effects=()))
 
@@ -277,10 +283,21 @@ class WholeModel:
             WIDE_PRIOR)
 
     def with_bouc_wen(self, model: StageModel) -> tuple["WholeModel", StageModel]:
-        """Return the problem with a line, and a model with a Bouc-Wen hysteresis in front of it."""
+        """Return the problem with a line, and a model with a Bouc-Wen hysteresis in front of it.
+
+        All recordings begin at rest: loops of another shape are no guide to their pasts.
+        """
         problem = self.with_line()
-        start = with_bouc_wen(model, problem.given.hysteresis, self._dataset.simulated)
-        return problem.with_hysteresis(start, WIDE_PRIOR), start
+        start = with_bouc_wen(model, problem.given.hysteresis,
+                              [part.after(()) for part in self._dataset.simulated])
+        return problem.with_hysteresis(start, WIDE_PRIOR, ()), start
+
+    def with_curve(self, model: StageModel) -> "WholeModel":
+        """Return the problem with a curve in place of the line of a model, and without pasts."""
+        line = model.hysteresis
+        return self.with_hysteresis(replace(model, hysteresis=PreisachModel.line(
+            line.voltage_min_v, line.voltage_max_v, line.gain_um_per_v()[0], line.offset_um,
+            CURVE_CELLS)), WIDE_PRIOR, ())
 
     def about_here(self) -> None:
         """Make the next fit recompute how the pieces of the hysteresis change the displacement.

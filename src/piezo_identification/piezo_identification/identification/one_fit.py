@@ -116,7 +116,7 @@ class _Search:
             drifting = self._with_bouc_wen(state, 1.0)
             if drifting is not state and _is_promising(drifting.best, state.best):
                 drifting = self._searched(drifting, 1.0, 0.0)
-        return drifting if is_better(drifting.best, state.best) else state
+        return _better(drifting, state)
 
     def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
         """Search from the first start, and from others that may become better than its result."""
@@ -131,7 +131,7 @@ class _Search:
                 if is_new and not is_at_noise(state.problem, state.best):
                     begin = BEGUN + number * length
                     other = self._from(self._with_renewed_loops(start, begin), begin, length)
-                    state = other if is_better(other.best, state.best) else state
+                    state = _better(other, state)
         return state
 
     def with_held_out_rows(self, state: _State) -> _State:
@@ -165,12 +165,12 @@ class _Search:
             line = replace(self, problem=problem, tried=[], given=self._given_with_line(problem))
             other = line.best(delay_s, state.best)
             self.tried.extend((f"a line: {change}", fit) for change, fit in line.tried)
-            if is_better(other.best, state.best):
-                return other
+            return _better(other, state)
         return state
 
     def _given_with_line(self, problem: WholeModel) -> FittedModel:
-        return replace(self.given, model=problem.given, visited=np.ones((1, 1), dtype=bool))
+        every_cell = np.ones(problem.given.hysteresis.density_um_per_v2.shape, dtype=bool)
+        return replace(self.given, model=problem.given, visited=every_cell)
 
     def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
         """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
@@ -185,12 +185,26 @@ class _Search:
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
             self.report(BOUC_WEN, fraction)
-            problem, start = state.problem.with_bouc_wen(state.best.model)
-            best = problem.fit(start, state.best.delay_s, SETTINGS.steps)
-            self.tried.append((BOUC_WEN, best))
-            if problem.is_possible(best):
-                return _State(self._given_with_line(problem), best, problem)
+            found = self._best_bouc_wen(state)
+            if found.problem.is_possible(found.best):
+                return found
         return state
+
+    def _best_bouc_wen(self, state: _State) -> _State:
+        """Fit a Bouc-Wen hysteresis in front of a line, of a curve, and after other pasts."""
+        def fitted(change: str, problem: WholeModel, model: StageModel) -> _State:
+            fit = problem.fit(model, state.best.delay_s, SETTINGS.steps)
+            self.tried.append((f"{BOUC_WEN}{change}", fit))
+            return _State(self._given_with_line(problem), fit, problem)
+
+        problem, start = state.problem.with_bouc_wen(state.best.model)
+        found = fitted("", problem, start)
+        if not is_at_noise(problem, found.best):
+            found = _better(fitted(", a curve", problem.with_curve(start), start), found)
+        if not is_at_noise(found.problem, found.best):
+            after_others = found.problem.with_hysteresis(found.best.delayed_model, WIDE_PRIOR)
+            found = _better(fitted(", other pasts", after_others, found.best.model), found)
+        return found
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
         """Search for the structure, and estimate the loops again after that."""
@@ -236,6 +250,10 @@ class _Search:
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
+
+
+def _better(other: _State, state: _State) -> _State:
+    return other if is_better(other.best, state.best) else state
 
 
 def _is_promising(start: WholeFit, best: WholeFit) -> bool:

@@ -25,6 +25,10 @@ def turning(levels_v, rows):
     return np.interp(np.linspace(0.0, along[-1], rows), along, levels_v)
 
 
+def curve_um(acting_v):
+    return GAIN_UM_PER_V * (acting_v + 0.002 * (acting_v - 50.0) ** 2)
+
+
 def measured(voltage_v, seed, taken_v=0.0):
     """Solve the equation of Dahl from row to row, and add noise."""
     taken_v, last_v = [taken_v], voltage_v[0]
@@ -36,7 +40,7 @@ def measured(voltage_v, seed, taken_v=0.0):
         last_v = next_v
     noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(voltage_v.size)
     return recording_of({"time_s": np.arange(voltage_v.size) * PERIOD_S, "voltage_v": voltage_v,
-                         "displacement_um": GAIN_UM_PER_V * (voltage_v - taken_v) + noise_um})
+                         "displacement_um": curve_um(voltage_v - taken_v) + noise_um})
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +78,6 @@ def test_the_past_of_a_recording_is_found(identified, taken_v):
 
 
 def test_the_summary_does_not_say_that_there_is_no_hysteresis(identified):
-    assert "with a hysteresis in front of a line" in str(main_results(identified))
+    assert "with a hysteresis in front of a curve" in str(main_results(identified))
     assert identified.model.has_hysteresis
     assert not replace(identified.model, effects=()).has_hysteresis

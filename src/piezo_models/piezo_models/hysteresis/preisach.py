@@ -127,10 +127,13 @@ class PreisachModel:
 
     @classmethod
     def line(cls, voltage_min_v: float, voltage_max_v: float, gain_um_per_v: float,
-             offset_um: float = 0.0) -> Self:
-        """Return a gain without hysteresis; the offset is its output at the lowest voltage."""
-        return cls(voltage_min_v, voltage_max_v, np.zeros((1, 1)), offset_um,
-                   np.array([gain_um_per_v]))
+             offset_um: float = 0.0, cells: int = 1) -> Self:
+        """Return a gain without hysteresis; the offset is its output at the lowest voltage.
+
+        A fit changes the slopes of several cells independently, so that a curve results.
+        """
+        return cls(voltage_min_v, voltage_max_v, np.zeros((cells, cells)), offset_um,
+                   np.full(cells, gain_um_per_v))
 
     def scaled(self, factor: float) -> Self:
         """Return the hysteresis with its output multiplied by a factor."""
