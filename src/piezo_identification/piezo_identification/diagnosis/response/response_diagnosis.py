@@ -138,11 +138,14 @@ def select_linear_effects(
     given = problem.fit((), 0)
     chosen = ResponseSelection(given, problem.fit((), STEPS))
     with while_time_lasts("further linear effects"):
-        while (count := len(problem.added(chosen.fit))) < MOST_EFFECTS and (
-                problem.over_noise(chosen.fit) > (NEAR_NOISE if count else SEARCH.above_noise)):
+        for _ in range(SEARCH.rounds):
+            found = problem.added(chosen.fit)
+            count, enough = len(found), NEAR_NOISE if found else SEARCH.above_noise
+            if count == MOST_EFFECTS or problem.over_noise(chosen.fit) <= enough:
+                break
             # The number of further effects is unknown.
             progress(f"effect {count + 1}", 1.0 - 0.5**count)
-            fits = fit_each(problem, _guesses(problem), chosen.fit, problem.added(chosen.fit))
+            fits = fit_each(problem, _guesses(problem), chosen.fit, found)
             chosen.tried.append([(_last_name(fit), reduction_percent(problem, chosen.fit, fit))
                                  for fit in fits])
             if not fits or not is_better(fits[0], chosen.fit):
