@@ -143,6 +143,12 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
                    np.hstack([nuisance, changes]), nuisance.shape[1], _extent(simulated))
 
 
+def without_recordings(model: StageModel, free: int, extent: Extent) -> Dataset:
+    """Return a data set without recordings, for fits of some free parameters to responses alone."""
+    return Dataset(model, (), (), (), np.zeros(0, dtype=np.intp), np.zeros(0, dtype=bool),
+                   np.zeros((0, free)), 0, extent)
+
+
 def _extent(simulated: Sequence[SimulatedRecording]) -> Extent:
     """Return the ranges of displacement, voltage, and time that the recordings cover."""
     return Extent(

@@ -193,7 +193,8 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     Parameters
     ----------
     changes : (n,) array
-        Changes in prior widths, in the order of `free_sensitivities`; empty for no change.
+        Changes in prior widths, in the order of `free_sensitivities`; empty for no change. Those
+        of the hysteresis, which come last, may be left out.
     """
     if not changes.size:
         return model
@@ -210,19 +211,21 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
         ratios, 0.5 * np.minimum(zeros / poles, 1.0))
     poles = poles * factors[:pairs]
     rest[rest > 0.0] *= factors[2 * pairs :]
+    model = replace(
+        model, creep=CreepDynamics(tuple(poles), tuple(zeros)),
+        dynamics=dynamics_of_vector(rest, len(dynamics.mode_frequencies_rad_per_s),
+                                    len(dynamics.antiresonance_frequencies_rad_per_s)))
+    if changes.size == count:
+        return model
     surfaces, hats = _shapes(hysteresis)
     factors, additions = np.split(changes[count:], [surfaces.shape[1]])
     surface = 1.0 + WIDTHS.factor * (surfaces @ factors).reshape(
         hysteresis.density_um_per_v2.shape)
     added = WIDTHS.reversible * _mean_gain(hysteresis) * additions @ hats
-    return replace(
-        model, creep=CreepDynamics(tuple(poles), tuple(zeros)),
-        dynamics=dynamics_of_vector(rest, len(dynamics.mode_frequencies_rad_per_s),
-                                    len(dynamics.antiresonance_frequencies_rad_per_s)),
-        hysteresis=replace(
-            hysteresis,
-            density_um_per_v2=hysteresis.density_um_per_v2 * np.maximum(surface, 0.0),
-            reversible_um_per_v=np.maximum(hysteresis.reversible_um_per_v + added, 0.0)))
+    return replace(model, hysteresis=replace(
+        hysteresis,
+        density_um_per_v2=hysteresis.density_um_per_v2 * np.maximum(surface, 0.0),
+        reversible_um_per_v=np.maximum(hysteresis.reversible_um_per_v + added, 0.0)))
 
 
 def changes_between(model: StageModel, changed: StageModel) -> FloatArray:

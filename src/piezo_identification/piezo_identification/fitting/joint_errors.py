@@ -174,6 +174,8 @@ class JointErrors:
         are computed.
     hysteresis_width : float
         Prior width of the changes of the hysteresis, relative to that of `free_parameters`.
+    physical_width : float
+        Prior width of the changes of creep and dynamics, relative to that of `free_parameters`.
     responses : sequence of MeasuredResponse
         Frequency responses that the model is fitted to, besides the recordings.
     are_all_fitted : bool
@@ -190,7 +192,7 @@ class JointErrors:
                  held: Sequence[Effect] = (),
                  pieces_um: Sequence[Sequence[FloatArray]] | None = None,
                  columns: FloatArray | None = None,
-                 hysteresis_width: float = 1.0,
+                 hysteresis_width: float = 1.0, physical_width: float = 1.0,
                  of_pieces_um: dict[int, FloatArray] | None = None,
                  responses: Sequence[MeasuredResponse] = (),
                  are_all_fitted: bool = False) -> None:
@@ -205,11 +207,11 @@ class JointErrors:
         self._ends = self.count + np.cumsum([0, *(values.size for values, _, _ in numbers)])
         lows, highs = ([bounds[index] for bounds in numbers] for index in (1, 2))
         free = np.full(self.count, np.inf)
-        least, self._prior = -free, np.ones(self.count)
-        if self.count:
-            of_hysteresis = lowest_changes(dataset.model.hysteresis)
-            least[-of_hysteresis.size :] = of_hysteresis
-            self._prior[-of_hysteresis.size :] = 1.0 / hysteresis_width
+        least, self._prior = -free, np.full(self.count, 1.0 / physical_width)
+        self._physical = min(physical_count(dataset.model), self.count)
+        if self.count > self._physical:
+            least[self._physical :] = lowest_changes(dataset.model.hysteresis)
+            self._prior[self._physical :] = 1.0 / hysteresis_width
         self.low, self.high = np.concatenate([least, *lows]), np.concatenate([free, *highs])
         self.longest = np.full(self.low.size, np.inf)
         self.longest[: self.count] = SETTINGS.longest
@@ -372,21 +374,21 @@ class JointErrors:
                 sizes = nuisance.sizes(difference_um)
                 return nuisance, sizes, difference_um - nuisance.regressors @ sizes
 
-            nuisance, sizes, remaining = (list(each) for each in zip(
-                *side_by_side(of_recording, range(len(dataset.rows))), strict=True))
+            found = side_by_side(of_recording, range(len(dataset.rows)))
             self._points = dict([*self._points.items()][-1:])
             model = replace(dataset.model, effects=effects)
-            self._points[key] = _Point(dataset, effects, nuisance, sizes, remaining, [
-                each.residual(model) for each in self._responses])
+            self._points[key] = _Point(
+                dataset, effects, [nuisance for nuisance, _, _ in found],
+                [sizes for _, sizes, _ in found], [remaining for *_, remaining in found],
+                [each.residual(model) for each in self._responses])
         return self._points[key]
 
     def _of_response(self, response: MeasuredResponse, unmoved: FloatArray,
                      vector: FloatArray) -> FloatArray:
         """Return the derivatives of the error of a response by the unknowns, numerically."""
         # Its gain is free, so it does not depend on the hysteresis.
-        physical = physical_count(self.dataset.model) if self.count else 0
         columns = np.zeros((unmoved.size, vector.size))
-        for place in (*range(physical), *range(self.count, vector.size)):
+        for place in (*range(self._physical), *range(self.count, vector.size)):
             moved, step = self._moved(vector, place)
             model = changed_model(self.dataset.model, moved[: self.count])
             columns[:, place] = (response.residual(
@@ -402,9 +404,11 @@ class JointErrors:
 
     def _stretch(self) -> NDArray[np.intp]:
         """Return the number of the stretch of each fitted row and value of a response, (n,)."""
-        stretches = [self.dataset.stretch[np.concatenate(self._fitted)]]
+        stretches = [self.dataset.stretch[mask][fitted] for mask, fitted in zip(
+            self.dataset.masks(), self._fitted, strict=True)]
         for response, fitted in zip(self._responses, self._at_frequencies, strict=True):
-            stretches.append(stretches[-1][-1] + 1 + response.stretch[fitted])
+            last = stretches[-1][-1] if stretches else -1
+            stretches.append(last + 1 + response.stretch[fitted])
         return np.concatenate(stretches)
 
     def _columns_at(self, vector: FloatArray) -> list[FloatArray]:

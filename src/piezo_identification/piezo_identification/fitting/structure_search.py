@@ -306,7 +306,7 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
                    if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
     lag_s = next((effect.time_constant_s for effect in given.effects
                   if type(effect) is AmplifierLag), problem.sample_period_s)
-    modes = _apart(ringing)
+    modes = apart(ringing)
     bare = replace(_electric(given, 0.0), creep=_creep_up_to(given.creep, ringing))
     effects = (*_in_phase(modes), *others)
     what = f"{len(modes)} modes that ring"
@@ -464,7 +464,7 @@ def _within_limits(kind: type[VibrationMode], values: Mapping[str, float]) -> Vi
         values[each.name], each.metadata["low"], each.metadata["high"])) for each in fields(kind)})
 
 
-def _apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
+def apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
     """Return modes with overlapping ones merged: a fit may split one to follow the loops."""
     apart = list[VibrationMode]()
     for mode in sorted(modes, key=lambda mode: mode.frequency_rad_per_s):

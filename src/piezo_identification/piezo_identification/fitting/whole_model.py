@@ -25,7 +25,7 @@ from piezo_identification.fitting.free_parameters import (
 )
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
-from piezo_identification.fitting.levenberg_marquardt import descend
+from piezo_identification.fitting.levenberg_marquardt import Descent, descend
 from piezo_identification.fitting.measured_response import MeasuredResponse
 from piezo_identification.fitting.noise_estimate import estimate_noise
 from piezo_identification.fitting.recording_evidence import recording_evidence
@@ -84,6 +84,15 @@ class WholeFit:
 
     free_changes: int = 0
     """Number of changes of the hysteresis with a wide prior."""
+
+    @classmethod
+    def of(cls, errors: JointErrors, descent: Descent, counts: FloatArray, model: StageModel,
+           delay_s: float | None = None, free_changes: int = 0) -> "WholeFit":
+        """Return the result of a descent."""
+        residual_um = errors.residual_um(descent.vector)
+        errors.forget()
+        return cls(model, delay_s, residual_um, errors.accuracy_um, errors, descent.vector,
+                   counts, descent.has_converged, descent.gain, free_changes)
 
     @property
     def numbers(self) -> int:
@@ -343,15 +352,14 @@ class WholeModel:
         found = errors.effects_at(descent.vector)
         fitted = changed_model(errors.dataset.model, descent.vector[: errors.count])
         delays_s = [effect.delay_s - shift_s for effect in found if type(effect) is Delay]
-        residual_um = errors.residual_um(descent.vector)
-        np.maximum(self._counts, [independent_errors(residual) for residual, _ in residual_um],
-                   out=self._counts)
-        errors.forget()
-        return WholeFit(
+        fit = WholeFit.of(
+            errors, descent, self._counts,
             replace(fitted, effects=tuple(each for each in found if type(each) is not Delay)),
-            delays_s[0] if delays_s else None, residual_um, errors.accuracy_um, errors,
-            descent.vector, self._counts, descent.has_converged, descent.gain,
+            delays_s[0] if delays_s else None,
             errors.count - begun.size if self._hysteresis_width >= 1.0 else 0)
+        np.maximum(self._counts, [independent_errors(residual) for residual, _ in fit.residual_um],
+                   out=self._counts)
+        return fit
 
     def is_possible(self, fit: WholeFit) -> bool:
         """Return whether a stage can have all effects of a fit; see `Effect.impossible`."""

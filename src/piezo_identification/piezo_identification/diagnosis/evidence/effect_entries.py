@@ -50,14 +50,14 @@ def effect_entries(regression: Regression, fit: Fit) -> list[dict[str, Any]]:
         "error_reduction_percent": float(100.0 * (1.0 - residual / np.hypot(residual, each)))}
         for effect, each in zip(fit.effects, added, strict=True)]
     if fit.covariance is not None:
-        _add_deviations(entries, fit.effects, fit.covariance)
+        add_deviations(entries, fit.effects, fit.covariance)
     named = min(noise(regression), max(added, default=0.0))
     return [entry if each >= named else as_stand_in(entry)
             for entry, each in zip(entries, added, strict=True)]
 
 
-def _add_deviations(entries: list[dict[str, Any]], effects: Sequence[Effect],
-                    covariance: FloatArray) -> None:
+def add_deviations(entries: list[dict[str, Any]], effects: Sequence[Effect],
+                   covariance: FloatArray) -> None:
     """Add the standard deviations of the fitted parameters."""
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     start = 0

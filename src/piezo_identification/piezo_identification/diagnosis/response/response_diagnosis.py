@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What a model lacks to explain a measured frequency response: a comparison of linear effects."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,24 +11,19 @@ from piezo_common.arrays import ComplexArray
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.progress_part import Progress
 from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
-from piezo_identification.diagnosis.evidence.effect_entries import with_stand_ins
-from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
-from piezo_identification.diagnosis.response.response_effect_fit import (
-    CRITERIA,
-    SETTINGS,
-    ResponseFit,
-    ResponseProblem,
-    describe_residual,
-    held_out_errors,
-    is_convincing,
-    is_explained,
-    mean_square,
-    reduction_percent,
+from piezo_identification.diagnosis.evidence.effect_entries import (
+    add_deviations,
+    with_stand_ins,
 )
+from piezo_identification.diagnosis.evidence.recording_faults import wrong_sign
+from piezo_identification.diagnosis.response.response_effect_fit import ResponseProblem
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
 from piezo_identification.fitting.dataset import SPLIT
+from piezo_identification.fitting.structure_search import SETTINGS as SEARCH
+from piezo_identification.fitting.structure_search import apart, is_better
+from piezo_identification.fitting.whole_model import WholeFit
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.creep import Creep
@@ -39,8 +34,17 @@ from piezo_models.effects.vibration_mode import VibrationMode
 SLOWEST = 10
 """One frequency in this many, from the lowest, determines the sign of the sensor."""
 
-FEWEST_FREQUENCIES = 4 * SETTINGS.block * SPLIT.held_out
-"""Fewest frequencies of a response, of which four blocks are held out."""
+FEWEST_FREQUENCIES = SPLIT.stretches // 2
+"""Fewest frequencies of a response, of which a third is held out."""
+
+FIRST_STEPS, STEPS = 2, 40
+"""Largest numbers of steps of a fit from each guess, and from the best of them."""
+
+MOST_EFFECTS = 4
+"""Number of kinds of linear effects."""
+
+NEAR_NOISE = 3.0
+"""Largest residual of an explained response, relative to its noise."""
 
 GUESSED_MODES = 27
 """Number of initial frequencies of a mode, so close that one is near any resonance in the range."""
@@ -65,22 +69,20 @@ class ResponseDiagnosis(Verdict):
     """Gain of the given model and of the extended one at the measured frequencies, (N,)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class ResponseSelection:
-    """Result of the comparison of linear effects."""
+    """Result of the comparison of linear effects so far."""
 
-    fit: ResponseFit
+    given: WholeFit
+    """The given model, in which only the gain is free."""
+    fit: WholeFit
     """Fit with the effects found."""
-    effects: list[dict[str, Any]]
-    """Entries of the verdict."""
-    tried: list[list[tuple[str, float]]]
+    tried: list[list[tuple[str, float]]] = field(default_factory=list)
     """As in `ResponseDiagnosis`."""
-    confounded_with: dict[str, str]
+    confounded_with: dict[str, str] = field(default_factory=dict)
     """Effects that the response does not distinguish from one found, and that one."""
-    refused: dict[str, Undecided]
+    undecided: dict[str, Undecided] = field(default_factory=dict)
     """Effects that are refused, and why."""
-    is_explained: bool
-    """True if the residual is small enough."""
 
 
 def diagnose_response(
@@ -89,10 +91,10 @@ def diagnose_response(
 ) -> ResponseDiagnosis:
     """Find which linear effect a model lacks to explain a frequency response.
 
-    Creep, a further vibration mode, a delay and a sensor lag are compared. Each is fitted to two
-    thirds of the frequencies, together with the gain, which the hysteresis does not determine, and
-    the model's dynamics within their prior width. They are compared on the other frequencies.
-    Nonlinear effects do not show in a response.
+    Creep, a further vibration mode, a delay and a sensor lag are compared by their evidence. Each
+    is fitted to two thirds of the frequencies, together with the gain, which the hysteresis does
+    not determine, and the model's creep and dynamics within their prior widths. The errors are
+    those of the other frequencies. Nonlinear effects do not show in a response.
 
     A hold in the response is removed. When the time limit is reached, or with Ctrl-C, the
     comparison ends with the effects found so far. Raise ValueError if there are too few
@@ -126,99 +128,88 @@ def moves_against(model: StageModel, measured: FrequencyResponse) -> bool:
 def select_linear_effects(
     problem: ResponseProblem, progress: Progress = lambda what, fraction: None,
 ) -> ResponseSelection:
-    """Add linear effects one by one while the gain on held-out frequencies is convincing."""
-    progress("the model's dynamics", 0.0)
-    start = current = problem.fit_dynamics(problem.as_given())
-    found = [start]
-    effects: list[dict[str, Any]] = []
-    tried: list[list[tuple[str, float]]] = []
-    confounded_with: dict[str, str] = {}
-    with while_time_lasts("further linear effects"):
-        while len(effects) < CRITERIA.most_effects and not is_explained(problem, current):
-            # The number of further effects is unknown.
-            progress(f"effect {len(effects) + 1}", 1.0 - 0.5 ** len(effects))
-            fits = fit_each_candidate(problem, current)
-            tried.append([(fit.effects[-1].name, reduction_percent(problem, current, fit))
-                          for fit in fits])
-            if not fits or not is_convincing(problem, current, fits[0]):
-                break
-            best = fits[0]
-            for other in fits[1:]:
-                if reduction_percent(problem, best, other) > -CRITERIA.distinguished_percent:
-                    confounded_with[other.effects[-1].name] = best.effects[-1].name
-            effects.append({
-                "name": best.effects[-1].name,
-                "error_reduction_percent": reduction_percent(problem, current, best)})
-            current = best
-            found.append(current)
-    kept, refused = _accepted(problem, found)
-    current, effects = found[kept], effects[:kept]
-    for entry, effect in zip(effects, current.effects, strict=True):
-        entry["parameters"] = effect.parameters()
-        confounded_with.pop(entry["name"], None)
-    return ResponseSelection(current, effects, tried, confounded_with, refused,
-                             is_explained(problem, current))
+    """Add linear effects one by one while the evidence increases.
 
-
-def _accepted(problem: ResponseProblem,
-              found: Sequence[ResponseFit]) -> tuple[int, dict[str, Undecided]]:
-    """Return how many of the effects reduce the reported error, and why not the others.
-
-    The comparison weights every frequency by its tolerance, and starts from fitted dynamics. The
-    reported errors are those of the gain, and start from the given model.
+    The first may be smaller than the noise of a frequency. A further one must not be named only
+    because those found have a slightly other form than the stage: it is sought where more than
+    noise remains.
     """
-    before, *after = (held_out_errors(problem, fit)["e_y_percent"]
-                      for fit in (problem.as_given(), *found[1:]))
-    kept = max((number for number, error in enumerate(after, 1) if error < before), default=0)
-    return kept, {
-        effect.name: Undecided(
-            Reason.WORSE_ON_HELD_OUT,
-            f"the error on held-out frequencies would rise from {before:.3g} to {error:.3g} %")
-        for effect, error in zip(found[-1].effects[kept:], after[kept:], strict=True)}
+    progress("the model's dynamics", 0.0)
+    given = problem.fit((), 0)
+    chosen = ResponseSelection(given, problem.fit((), STEPS))
+    with while_time_lasts("further linear effects"):
+        for _ in range(SEARCH.rounds):
+            found = problem.added(chosen.fit)
+            count, enough = len(found), NEAR_NOISE if found else SEARCH.above_noise
+            if count == MOST_EFFECTS or problem.over_noise(chosen.fit) <= enough:
+                break
+            # The number of further effects is unknown.
+            progress(f"effect {count + 1}", 1.0 - 0.5**count)
+            fits = fit_each(problem, _guesses(problem), chosen.fit, found)
+            chosen.tried.append([(_last_name(fit), reduction_percent(problem, chosen.fit, fit))
+                                 for fit in fits])
+            if not fits or not is_better(fits[0], chosen.fit):
+                break
+            name = _last_name(fits[0])
+            before, after = (problem.held_out_errors(fit)["e_y_percent"]
+                             for fit in (given, fits[0]))
+            if after > before:
+                chosen.undecided[name] = Undecided(
+                    Reason.WORSE_ON_HELD_OUT, "the error on held-out frequencies would rise from "
+                    f"{before:.3g} to {after:.3g} %")
+                break
+            chosen.confounded_with.update({
+                _last_name(fit): name for fit in fits[1:]
+                if fit.evidence_over(fits[0]) > -SEARCH.chance})
+            chosen.fit = fits[0]
+            if count:
+                chosen.fit = revised(problem, chosen.fit)
+    return chosen
 
 
-def _diagnosis(problem: ResponseProblem, selection: ResponseSelection,
-               is_reversed: bool) -> ResponseDiagnosis:
-    """Assemble the verdict with its numbers and reasons."""
-    given, effects = problem.as_given(), selection.effects
-    # Even without an effect, other parameters may explain what the given ones do not.
-    is_changed = bool(effects) or selection.is_explained and not is_explained(problem, given)
-    final = selection.fit if is_changed else given
-    faults = [wrong_sign(problem.measured.path)] if is_reversed else []
-    undecided = {name: Undecided(Reason.LIKE_ANOTHER,
-                                 f"the response does not distinguish it from {found}")
-                 for name, found in selection.confounded_with.items()} | selection.refused
-    verdict, left = "explained" if effects else "none", ""
-    if not selection.is_explained:
-        verdict, left = "unexplained", describe_residual(problem, selection.fit)
-    return ResponseDiagnosis(
-        verdict=verdict, effects=with_stand_ins(effects, problem.extent, {}),
-        model=problem.extended_model(selection.fit) if is_changed else problem.model,
-        before=held_out_errors(problem, given), after=held_out_errors(problem, final),
-        noise_floor_um=problem.noise,
-        holdout={"source": "frequencies that were not fitted",
-                 "samples": int(np.sum(~problem.estimation))},
-        undecided=undecided,
-        confounded_with=selection.confounded_with, left=left,
-        reversed=[fault.recording for fault in faults], left_out=[],
-        recording_faults=[fault.document() for fault in faults],
-        ceiling=None,
-        tried=selection.tried, measured=problem.measured,
-        before_gain=problem.gain(given), after_gain=problem.gain(final),
-    )
-
-
-def fit_each_candidate(problem: ResponseProblem, current: ResponseFit) -> list[ResponseFit]:
-    """Fit every candidate in addition to the effects found, the best on held-out data first."""
-    found = {type(effect) for effect in current.effects}
+def fit_each(problem: ResponseProblem, guesses: Mapping[type[Effect], Sequence[Effect]],
+             begun: WholeFit, found: Sequence[Effect]) -> list[WholeFit]:
+    """Fit each kind of guessed effects in addition to others, the one with most evidence first."""
     fits = []
-    for kind, guesses in _guesses(problem).items():
-        if kind in found and not kind.several:
+    for kind, of_kind in guesses.items():
+        if kind in map(type, found) and not kind.several:
             continue
-        fitted = [problem.fit_last_effect(current, guess) for guess in guesses]
-        best = min(fitted, key=lambda fit: mean_square(problem, fit, problem.estimation))
-        fits.append(problem.fit_dynamics(best))
-    return sorted(fits, key=lambda fit: mean_square(problem, fit))
+        first = [problem.fit((*found, guess), FIRST_STEPS, begun) for guess in of_kind]
+        promising = [fit for fit in first if has_separate_modes(problem, fit)]
+        if promising:
+            best = max(promising, key=lambda fit: fit.evidence_over(begun))
+            fits.append(problem.fit(problem.added(best), STEPS, best))
+    return sorted((fit for fit in fits if has_separate_modes(problem, fit)),
+                  key=lambda fit: -fit.evidence_over(begun))
+
+
+def revised(problem: ResponseProblem, fit: WholeFit) -> WholeFit:
+    """Return a fit without effects that later ones made needless, or with similar ones instead."""
+    best = fit
+    for number in reversed(range(len(problem.added(fit)))):
+        effect, others = problem.parted(best, number)
+        similar = {kind: guesses for kind, guesses in _guesses(problem).items()
+                   if kind.is_confounded_with(type(effect))}
+        rivals = [problem.fit(others, STEPS, best), *fit_each(problem, similar, best, others)]
+        best = max((rival for rival in rivals if is_better(rival, best)),
+                   key=lambda rival: rival.evidence_over(fit), default=best)
+    return best
+
+
+def has_separate_modes(problem: ResponseProblem, fit: WholeFit) -> bool:
+    """Return whether the modes found ring and do not overlap: others imitate other forms."""
+    modes = [effect for effect in problem.added(fit) if isinstance(effect, VibrationMode)]
+    return len(apart(modes)) == len(modes) and all(
+        mode.damping_ratio <= SEARCH.most_uncoupled for mode in modes)
+
+
+def reduction_percent(problem: ResponseProblem, before: WholeFit, after: WholeFit) -> float:
+    """Return the reduction of the weighted error on held-out frequencies in percent."""
+    return 100.0 * (1.0 - problem.over_noise(after) / problem.over_noise(before))
+
+
+def _last_name(fit: WholeFit) -> str:
+    return str(fit.model.effects[-1].name)
 
 
 def _guesses(problem: ResponseProblem) -> dict[type[Effect], list[Effect]]:
@@ -230,8 +221,59 @@ def _guesses(problem: ResponseProblem) -> dict[type[Effect], list[Effect]]:
         Creep: [Creep((0.05,) * count, tuple(slow_s))],
         VibrationMode: [
             VibrationMode(2.0 * np.pi * frequency_hz, damping, 0.1)
-            for frequency_hz in np.geomspace(*problem.mode_range_hz, GUESSED_MODES)
+            for frequency_hz in np.geomspace(low_hz, high_hz, GUESSED_MODES)
             for damping in (0.02, 0.2)],
         Delay: [Delay(delay_s) for delay_s in np.geomspace(0.01, 1.0, 4) / high_hz],
         SensorLag: [SensorLag(lag_s) for lag_s in np.geomspace(0.01, 1.0, 4) / high_hz],
     }
+
+
+def _diagnosis(problem: ResponseProblem, chosen: ResponseSelection,
+               is_reversed: bool) -> ResponseDiagnosis:
+    """Assemble the verdict with its numbers and reasons."""
+    found = problem.added(chosen.fit)
+    effects: list[dict[str, Any]] = [{
+        "name": effect.name,
+        "error_reduction_percent": reduction_percent(
+            problem, problem.fit(problem.parted(chosen.fit, number)[1], STEPS, chosen.fit),
+            chosen.fit),
+        "parameters": effect.parameters()} for number, effect in enumerate(found)]
+    add_deviations(effects, found, problem.covariance(chosen.fit))
+    confounded_with = {name: other for name, other in chosen.confounded_with.items()
+                       if name not in {effect.name for effect in found}}
+    is_explained = problem.over_noise(chosen.fit) <= NEAR_NOISE
+    # Even without an effect, other parameters may explain what the given ones do not.
+    is_changed = bool(effects) or is_explained and problem.over_noise(chosen.given) > NEAR_NOISE
+    final = chosen.fit if is_changed else chosen.given
+    faults = [wrong_sign(problem.measured.path)] if is_reversed else []
+    return ResponseDiagnosis(
+        verdict="unexplained" if not is_explained else "explained" if effects else "none",
+        effects=with_stand_ins(effects, problem.extent, {}),
+        model=final.model if is_changed else problem.model,
+        before=problem.held_out_errors(chosen.given), after=problem.held_out_errors(final),
+        noise_floor_um=problem.noise,
+        holdout={"source": "frequencies that were not fitted",
+                 "samples": int(np.sum(problem.held_out))},
+        undecided={name: Undecided(Reason.LIKE_ANOTHER,
+                                   f"the response does not distinguish it from {other}")
+                   for name, other in confounded_with.items()} | chosen.undecided,
+        confounded_with=confounded_with,
+        left="" if is_explained else describe_residual(problem, chosen.fit),
+        reversed=[fault.recording for fault in faults], left_out=[],
+        recording_faults=[fault.document() for fault in faults],
+        ceiling=None,
+        tried=chosen.tried, measured=problem.measured,
+        before_gain=problem.gain(chosen.given), after_gain=problem.gain(final),
+    )
+
+
+def describe_residual(problem: ResponseProblem, fit: WholeFit) -> str:
+    """Return a sentence on the residual and its frequencies."""
+    energy = np.abs(problem.weighted_error(fit)) ** 2
+    power = np.cumsum(energy) / np.sum(energy)
+    frequency_hz = problem.measured.frequency_hz
+    low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
+    return (
+        f"What remains is {problem.over_noise(fit):.3g} times the noise of the response, most of "
+        f"it from {low_hz:.3g} to {high_hz:.3g} Hz, largest at "
+        f"{frequency_hz[int(np.argmax(energy))]:.4g} Hz.")

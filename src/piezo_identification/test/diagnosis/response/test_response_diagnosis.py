@@ -12,9 +12,6 @@ from piezo_common.budget import Budget
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.response import response_diagnosis
 from piezo_identification.diagnosis.response.response_diagnosis import diagnose_response
-from piezo_identification.diagnosis.response.response_effect_fit import (
-    ResponseProblem,
-)
 from piezo_identification.diagnosis.response.response_results import response_sentence
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
@@ -95,6 +92,19 @@ def test_a_further_resonance_is_a_vibration_mode():
     assert diagnosis.after["e_y_percent"] < 0.1 * diagnosis.before["e_y_percent"]
 
 
+def test_a_mode_and_a_delay_are_found_together():
+    extended = replace(MODEL, effects=(VibrationMode(4400.0, 0.03, 0.3), Delay(1e-4)))
+    ratio = extended.small_signal_response(FREQUENCY_HZ) / MODEL.small_signal_response(FREQUENCY_HZ)
+    diagnosis = diagnose_response(MODEL, measured(ratio))
+    found = {entry["name"]: entry for entry in diagnosis.effects}
+    assert diagnosis.verdict == "explained"
+    assert set(found) == {"vibration_mode", "delay"}
+    late = found["delay"]
+    deviation_s = late["standard_deviations"]["delay_s"]
+    assert 0.0 < deviation_s < 1e-6
+    assert late["parameters"]["delay_s"] == pytest.approx(1e-4, abs=5.0 * deviation_s)
+
+
 def test_no_mode_beyond_the_measured_band_is_proposed():
     further = VibrationMode(9000.0, 0.03, 0.3)
     extra = replace(MODEL, effects=(further,)).response(FREQUENCY_HZ) / MODEL.response(FREQUENCY_HZ)
@@ -104,24 +114,22 @@ def test_no_mode_beyond_the_measured_band_is_proposed():
 
 
 def test_an_effect_that_raises_the_error_of_the_gain_is_not_named(monkeypatch):
-    """Small gains are held to a closer tolerance: what mends many of them may spoil a resonance."""
-    problem = ResponseProblem(MODEL, measured(1.0 + 0.2 * np.sin(12.0 * np.log(FREQUENCY_HZ))))
-    start = problem.fit_dynamics(problem.as_given())
-    residual = np.where(np.abs(problem.measured.gain) < 1.0, 0.1, 6.0) * start.residual
-    spoilt = replace(start, effects=(Delay(1e-4),), residual=residual)
-    monkeypatch.setattr(response_diagnosis, "fit_each_candidate",
-                        lambda problem, current: [] if current.effects else [spoilt])
-    monkeypatch.setattr(response_diagnosis, "is_convincing", lambda *fits: True)
-    selection = response_diagnosis.select_linear_effects(problem)
-    assert (selection.effects, selection.fit.effects) == ([], ())
-    assert "would rise from" in selection.refused["delay"].sentence
+    """The evidence weighs every frequency by its noise; the reported errors do not."""
+    monkeypatch.setattr(response_diagnosis, "fit_each",
+                        lambda problem, *more: [problem.fit((Delay(1e-4),), 0)])
+    monkeypatch.setattr(response_diagnosis, "is_better", lambda fit, other: True)
+    ripple = 1.0 + 0.2 * np.sin(12.0 * np.log(FREQUENCY_HZ))
+    diagnosis = diagnose_response(MODEL, measured(ripple))
+    assert (diagnosis.effects, diagnosis.model) == ([], MODEL)
+    assert "would rise from" in diagnosis.not_decidable["delay"]
 
 
 def test_what_no_candidate_explains_is_described_and_not_named():
     ripple = 1.0 + 0.2 * np.sin(12.0 * np.log(FREQUENCY_HZ))
     diagnosis = diagnose_response(MODEL, measured(ripple))
     assert diagnosis.verdict == "unexplained"
-    assert "times the tolerance" in diagnosis.left
+    assert diagnosis.effects == []
+    assert "times the noise" in diagnosis.left
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -177,14 +185,15 @@ def test_the_shape_of_a_lag_is_found(roundness):
     assert found["parameters"]["roundness"] == pytest.approx(roundness, abs=0.02)
 
 
-def test_the_shape_of_a_lag_stays_where_the_response_does_not_tell_it():
-    """Far below its corner, a lag of any shape is one phase."""
+def test_a_lag_far_below_its_corner_is_named_as_a_delay():
+    """There a lag of any shape is one phase."""
     frequency_hz = np.geomspace(0.1, 3.0, 90)
     random = np.random.default_rng(7)
     gain = MODEL.small_signal_response(frequency_hz) * lag_response(1e-3, 0.25, frequency_hz)
     noise = 1e-4 * (random.normal(size=90) + 1j * random.normal(size=90))
-    problem = ResponseProblem(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
-    fit = problem.fit_last_effect(problem.as_given(), SensorLag(1e-3))
-    assert fit.effects[0].roundness == 0.0
-    assert fit.effects[0].time_constant_s == pytest.approx(1e-3, rel=0.1)
+    diagnosis = diagnose_response(MODEL, FrequencyResponse("slow", frequency_hz, gain + noise))
+    (found,) = diagnosis.effects
+    assert found["name"] == "delay"
+    assert found["parameters"]["delay_s"] == pytest.approx(1e-3, rel=0.1)
+    assert diagnosis.confounded_with == {"sensor_lag": "delay"}
 
