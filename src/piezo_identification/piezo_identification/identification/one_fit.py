@@ -107,7 +107,7 @@ class _Search:
         # A search behind loops of the wrong kind would describe them by dynamics.
         is_drifting = is_better(drifting.best, first.best)
         if is_drifting:
-            drifting = self._searched(drifting, BEGUN, length)
+            drifting = self._searched(self._simplest(drifting), BEGUN, length)
             if is_at_noise(drifting.problem, drifting.best) or not _is_promising(
                     first.best, drifting.best):
                 return drifting
@@ -205,6 +205,14 @@ class _Search:
             after_others = found.problem.with_hysteresis(found.best.delayed_model, WIDE_PRIOR)
             found = _better(fitted(", other pasts", after_others, found.best.model), found)
         return found
+
+    def _simplest(self, state: _State) -> _State:
+        """Return the best of the starts of the search behind the hysteresis of a state."""
+        promising, tried = begun(
+            state.problem, state.best.model, state.best.delay_s, self._part(BEGUN, 0.0),
+            self.is_asked_for)
+        self.tried.extend(tried)
+        return replace(state, best=promising[0][1])
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
         """Search for the structure, and estimate the loops again after that."""
