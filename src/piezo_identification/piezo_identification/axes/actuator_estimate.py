@@ -2,6 +2,7 @@
 """Hysteresis and creep of each axis from slow recordings, by the estimators of one axis."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +16,13 @@ from piezo_identification.axes.predict_axes import (
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.fitting.structure_search import SETTINGS, best_of_bouc_wen
+from piezo_identification.fitting.whole_model import WholeModel
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import LIGHT
+from piezo_models.cascade import StageModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import Recording
@@ -82,7 +87,34 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
     if near is not None and near.plays is None:
         near = None  # cells of the first round are too few to choose by
     density = _density(model, axis, loops, levels, near)
-    return Actuator(None if density.is_line else density.model(), creep), density
+    known = {id(each): _alone(model, axis, each) for each in (*steps, *loops)}
+    return fitted_alone(StageModel(density.model(), creep, ElectricVibrationDynamics()),
+                        list(known.values()), density.is_line), density
+
+
+def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bool) -> Actuator:
+    """Return hysteresis and creep fitted together to recordings of one axis without its modes.
+
+    Loops that drift are explained by a Bouc-Wen hysteresis if that is better.
+
+    Parameters
+    ----------
+    start : StageModel
+        Model without modes.
+    recordings : sequence of Recording
+        If one is too short for a joint fit, the start is returned.
+    is_line : bool
+        The recordings show no loops.
+    """
+    found = start
+    with suppress(ValueError):  # too short a recording
+        problem = WholeModel(start, recordings, [0.0] * len(recordings))
+        best = problem.fit(start, None, SETTINGS.steps)
+        if not is_line:
+            _, best, _ = best_of_bouc_wen(problem, best, lambda problem, fit: (fit, []))
+        found = best.model
+    loops = next((each for each in found.effects if isinstance(each, BoucWenHysteresis)), None)
+    return Actuator(None if is_line else found.hysteresis, found.creep, bouc_wen=loops)
 
 
 def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:

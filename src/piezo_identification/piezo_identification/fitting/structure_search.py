@@ -11,7 +11,7 @@ from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import STANDS_OUT
-from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
@@ -81,6 +81,8 @@ class SearchSettings:
 
 
 SETTINGS = SearchSettings()
+
+BOUC_WEN = "a Bouc-Wen hysteresis"
 
 Tried = tuple[str, WholeFit]
 """Description of a change of the structure, and the fit with it."""
@@ -180,6 +182,54 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             rivals[0][1].evidence_over(best) > -SETTINGS.promise):
         promising.reverse()
     return promising, tried
+
+
+def best_of_bouc_wen(problem: WholeModel, best: WholeFit,
+                     further: Callable[[WholeModel, WholeFit], tuple[WholeFit, list[Tried]]],
+                     ) -> tuple[WholeModel, WholeFit, list[Tried]]:
+    """Return a fit, or one with a Bouc-Wen hysteresis in place of its own if that is better.
+
+    No Preisach hysteresis has loops that drift and do not close.
+
+    Parameters
+    ----------
+    best : WholeFit
+        Fit of this problem.
+    further : callable
+        Searches on from a promising fit with a Bouc-Wen hysteresis, as `searched` does.
+
+    Returns
+    -------
+    problem : WholeModel
+        The one of the fit that is returned.
+    best : WholeFit
+    tried : list of (str, WholeFit)
+        All fits in the order they were made.
+    """
+    if is_at_noise(problem, best):
+        return problem, best, []
+    other, start = problem.with_bouc_wen(best.model)
+    fit = other.fit(start, best.delay_s, SETTINGS.steps)
+    tried = [(BOUC_WEN, fit)]
+    for _ in range(SETTINGS.rounds):
+        # The pasts were found with a start that may be far off.
+        again = other.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
+        closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
+        tried.append((f"{BOUC_WEN}, pasts sought again", closer))
+        if not is_better(closer, fit):
+            break
+        other, fit = again, closer
+    if is_promising(fit, best):
+        fit, changed = further(other, fit)
+        tried += changed
+    if is_better(fit, best) and other.is_possible(fit):
+        return other, fit, tried
+    return problem, best, tried
+
+
+def is_promising(start: WholeFit, best: WholeFit) -> bool:
+    """Return whether a start may end up with more evidence than the best fit."""
+    return start.evidence_over(best) > -SETTINGS.promise_of_start
 
 
 def has_amplifier(fit: WholeFit) -> bool:

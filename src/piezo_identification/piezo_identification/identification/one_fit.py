@@ -21,12 +21,15 @@ from piezo_identification.estimators.frequency_response.response_model import Re
 from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.fitting.structure_search import (
+    BOUC_WEN,
     SETTINGS,
     Structure,
     begun,
+    best_of_bouc_wen,
     has_amplifier,
     is_at_noise,
     is_better,
+    is_promising,
     searched,
 )
 from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
@@ -53,8 +56,6 @@ BEGUN, RENEWED = 0.3, 0.2
 LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
-
-BOUC_WEN = "a Bouc-Wen hysteresis"
 
 Tried = Sequence[tuple[str, WholeFit]]
 """What was changed, and the fit, in the order in which they were tried."""
@@ -100,7 +101,7 @@ class _Search:
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
             self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
-        if rival is not None and not _is_promising(states[0].best, rival):
+        if rival is not None and not is_promising(states[0].best, rival):
             return states[0]
         state = self._from(states[0], BEGUN, length)
         with while_time_lasts("the search from another start"):
@@ -108,7 +109,7 @@ class _Search:
                 check_cancelled()
                 # It has to make up for what the search before has gained, too. The search makes
                 # an amplifier simpler itself.
-                is_new = (_is_promising(start.best, state.best) if has_amplifier(start.best)
+                is_new = (is_promising(start.best, state.best) if has_amplifier(start.best)
                           else is_better(start.best, state.best))
                 if is_new and not is_at_noise(state.problem, state.best):
                     other = self._from(start, BEGUN + number * length, length)
@@ -156,23 +157,20 @@ class _Search:
     def _or_of_bouc_wen(self, state: _State) -> _State:
         """Return a state, or the best one with a Bouc-Wen hysteresis if that follows loops better.
 
-        No Preisach hysteresis has loops that drift and do not close.
+        A line without recorded loops has none to follow.
         """
         shows_loops = not self.given.model.hysteresis.is_line or any(
             experiment_of(name) == "hysteresis" for name in self.read_late_s)
-        if not shows_loops or is_at_noise(state.problem, state.best):
+        if not shows_loops:
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
             self.report(BOUC_WEN, 1.0)
-            problem, start = state.problem.with_bouc_wen(state.best.model)
-            best = problem.fit(start, state.best.delay_s, SETTINGS.steps)
-            self.tried.append((BOUC_WEN, best))
-            if not _is_promising(best, state.best):
-                return state
-            best, changed = searched(problem, best, self._part(1.0, 0.0), self.is_asked_for)
-            self.tried.extend(changed)
-            if is_better(best, state.best) and problem.is_possible(best):
+            problem, best, tried = best_of_bouc_wen(
+                state.problem, state.best, lambda problem, fit: searched(
+                    problem, fit, self._part(1.0, 0.0), self.is_asked_for))
+            self.tried.extend(tried)
+            if best is not state.best:
                 return _State(self._given_with_line(problem), best, problem)
         return state
 
@@ -216,10 +214,6 @@ class _Search:
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
-
-
-def _is_promising(start: WholeFit, best: WholeFit) -> bool:
-    return start.evidence_over(best) > -SETTINGS.promise_of_start
 
 
 def fitted_together(
