@@ -2,7 +2,6 @@
 """Hysteresis and creep of each axis from slow recordings, by the estimators of one axis."""
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -87,9 +86,9 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
     if near is not None and near.plays is None:
         near = None  # cells of the first round are too few to choose by
     density = _density(model, axis, loops, levels, near)
-    known = {id(each): _alone(model, axis, each) for each in (*steps, *loops)}
-    return fitted_alone(StageModel(density.model(), creep, ElectricVibrationDynamics()),
-                        list(known.values()), density.is_line), density
+    alone = [_alone(model, axis, each) for each in dict.fromkeys((*steps, *loops))]
+    start = StageModel(density.model(), creep, ElectricVibrationDynamics())
+    return fitted_alone(start, alone, density.is_line), density
 
 
 def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bool) -> Actuator:
@@ -106,15 +105,16 @@ def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bo
     is_line : bool
         The recordings show no loops.
     """
-    found = start
-    with suppress(ValueError):  # too short a recording
+    try:
         problem = WholeModel(start, recordings, [0.0] * len(recordings))
-        best = problem.fit(start, None, SETTINGS.steps)
-        if not is_line:
-            _, best, _ = best_of_bouc_wen(problem, best, lambda problem, fit: (fit, []))
-        found = best.model
-    loops = next((each for each in found.effects if isinstance(each, BoucWenHysteresis)), None)
-    return Actuator(None if is_line else found.hysteresis, found.creep, bouc_wen=loops)
+    except ValueError:  # a recording is too short
+        return Actuator(None if is_line else start.hysteresis, start.creep)
+    best = problem.fit(start, None, SETTINGS.steps)
+    if is_line:
+        return Actuator(None, best.model.creep)
+    _, best, _ = best_of_bouc_wen(problem, best, lambda problem, fit: (fit, []))
+    loops = next((each for each in best.model.effects if isinstance(each, BoucWenHysteresis)), None)
+    return Actuator(best.model.hysteresis, best.model.creep, bouc_wen=loops)
 
 
 def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:
