@@ -26,6 +26,7 @@ from piezo_common.schema import (
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel, Softening
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_models.model_document import (
     FORMAT,
@@ -76,6 +77,14 @@ class SofteningPart(Part):
         "RMS voltages of the identification.", unit="V", shortest=2, longest=2)
 
 
+class BoucWenPart(Part):
+    """A Bouc-Wen hysteresis of the voltage, see the effect `bouc_wen_hysteresis`."""
+
+    saturation_v: Positive = entry("Largest voltage that it takes.", unit="V")
+    relaxation_v: Positive = entry("Voltage over which it takes it.", unit="V")
+    unloading: NotNegative = entry("Factor of the decrease at a reversal.", unit="1")
+
+
 class ActuatorPart(Part):
     """Hysteresis and creep in front of the modes on one axis."""
 
@@ -86,6 +95,8 @@ class ActuatorPart(Part):
     amplifier_lag_s: NotNegative = entry(
         "Time constant of the amplifier in front of it, which is also a pole of the modes.",
         unit="s", default=0.0)
+    bouc_wen: BoucWenPart | None = entry(
+        "Hysteresis whose loops drift, in front of the other one.", default=None)
 
 
 class CouplingPart(Part):
@@ -189,6 +200,7 @@ def _document_of(identified: IdentifiedAxes) -> dict[str, Any]:
         {**({} if each.hysteresis is None else {
             "hysteresis": document_of_hysteresis(each.hysteresis)}),
          **({"amplifier_lag_s": each.lag_s} if each.lag_s else {}),
+         **({"bouc_wen": each.bouc_wen.parameters()} if each.bouc_wen else {}),
          "creep": document_of_creep(each.creep)} for each in model.actuators]}
     softening = {} if model.softening is None else {"softening": {
         "elongation_re": model.softening.elongations.real.tolist(),
@@ -235,7 +247,8 @@ def _built(document: AxesDocument) -> IdentifiedAxes:
         tuple(Actuator(
             None if part.hysteresis is None else built_hysteresis(part.hysteresis),
             CreepDynamics(tuple(part.creep.poles_rad_per_s), tuple(part.creep.zeros_rad_per_s)),
-            part.amplifier_lag_s)
+            part.amplifier_lag_s,
+            None if part.bouc_wen is None else BoucWenHysteresis(**dict(part.bouc_wen)))
             for part in document.actuators))
     coupling = Coupling(
         np.array([each.frequency_hz for each in document.coupling]),

@@ -18,6 +18,7 @@ from piezo_controller.feedback.synthesis.generalised_plant import lift, secant_g
 from piezo_controller.feedback.synthesis.h_infinity import is_stable, reduce_order
 from piezo_controller.feedback.synthesis.structured_singular_value import sampled_response
 from piezo_controller.feedback.synthesis.weights import DesignWeights
+from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.feedback_law.axes_law import AxesLaw
 from piezo_models.feedback_law.feedback_law import DeclaredPlant, LinearBlock
@@ -126,10 +127,15 @@ def gain_ranges(model: CoupledModel) -> FloatArray:
 
     They are relative to the mean gain over its range.
     """
-    return np.array([
-        (1.0, 1.0) if each.hysteresis is None else
-        np.array(secant_gain_range(each.hysteresis)) / each.slope_um_per_v
-        for each in model.actuators] or np.ones((len(model.axes), 2)))
+    return np.array([_gain_range(each) for each in model.actuators]
+                    or np.ones((len(model.axes), 2)))
+
+
+def _gain_range(actuator: Actuator) -> FloatArray:
+    if actuator.hysteresis is None:
+        return np.ones(2)
+    gains = np.array(secant_gain_range(actuator.hysteresis)) / actuator.slope_um_per_v
+    return gains if actuator.bouc_wen is None else gains * actuator.bouc_wen.gain_range
 
 
 def gain_spreads(model: CoupledModel) -> FloatArray:

@@ -25,6 +25,7 @@ from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import Coupling, IdentifiedAxes
 from piezo_models.axes_model_file import save_axes_model
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.feedback_law.axes_law import load_axes_law
 from piezo_models.feedback_law.law_check import check_law
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -45,6 +46,13 @@ def model_of(frequency_hz=(300.0, 400.0), push=((0.2, 0.006), (-0.005, 0.2))):
     system = control.sample_system(stage, PERIOD_S)
     return replace(CoupledModel.from_control(
         system, ("x", "y"), [50.0, 50.0], [10.0, 10.0]), actuators=(ACTUATOR, ACTUATOR))
+
+
+def test_gain_of_loops_that_drift_spreads_from_that_after_a_reversal_to_one():
+    drifting = Actuator(PreisachModel.line(0.0, 100.0, 0.2),
+                        bouc_wen=BoucWenHysteresis(3.0, 20.0, unloading=1.0))
+    spreads = gain_spreads(replace(model_of(), actuators=(drifting, ACTUATOR)))
+    assert spreads[0] == pytest.approx(1.0 / 0.85 - 1.0)
 
 
 @pytest.fixture(scope="module")

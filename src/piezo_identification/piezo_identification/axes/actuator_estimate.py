@@ -15,9 +15,18 @@ from piezo_identification.axes.predict_axes import (
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.fitting.structure_search import (
+    SETTINGS,
+    fitted_with_bouc_wen,
+    is_at_noise,
+    is_better,
+)
+from piezo_identification.fitting.whole_model import WholeModel
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import LIGHT
+from piezo_models.cascade import StageModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import Recording
@@ -82,7 +91,37 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
     if near is not None and near.plays is None:
         near = None  # cells of the first round are too few to choose by
     density = _density(model, axis, loops, levels, near)
-    return Actuator(None if density.is_line else density.model(), creep), density
+    alone = [_alone(model, axis, each) for each in dict.fromkeys((*steps, *loops))]
+    start = StageModel(density.model(), creep, ElectricVibrationDynamics())
+    return fitted_alone(start, alone, density.is_line), density
+
+
+def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bool) -> Actuator:
+    """Return hysteresis and creep fitted together to recordings of one axis without its modes.
+
+    Loops that drift are explained by a Bouc-Wen hysteresis if that is better.
+
+    Parameters
+    ----------
+    start : StageModel
+        Model without modes.
+    recordings : sequence of Recording
+        If one is too short for a joint fit, the start is returned.
+    is_line : bool
+        The recordings show no loops.
+    """
+    try:
+        problem = WholeModel(start, recordings, [0.0] * len(recordings))
+    except ValueError:  # a recording is too short
+        return Actuator(None if is_line else start.hysteresis, start.creep)
+    best = problem.fit(start, None, SETTINGS.steps)
+    if is_line:
+        return Actuator(None, best.model.creep)
+    if not is_at_noise(problem, best):
+        drifting, fit, _ = fitted_with_bouc_wen(problem, best)
+        best = fit if is_better(fit, best) and drifting.is_possible(fit) else best
+    loops = next((each for each in best.model.effects if isinstance(each, BoucWenHysteresis)), None)
+    return Actuator(best.model.hysteresis, best.model.creep, bouc_wen=loops)
 
 
 def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:

@@ -67,7 +67,9 @@ def _best_of_axis(model: CoupledModel, axis: int, tried_s: FloatArray,
         lambda logarithm: -evidence(np.exp(logarithm)), method="bounded",
         bounds=np.log([best_s / SPACING, best_s * SPACING]), options={"xatol": 0.05}).x))
     cost = 0.5 * np.log(fitted(model).rows)
-    return _lagging(model, axis, refined_s * (evidence(refined_s) - evidence(0.0) > cost))
+    # What a lag that settles within the sample explains is no lag, but an error of the model.
+    without = max(evidence(0.0), evidence(tried_s[0] / SPACING))
+    return _lagging(model, axis, refined_s * (evidence(refined_s) - without > cost))
 
 
 def _lagging(model: CoupledModel, axis: int, lag_s: float) -> CoupledModel:

@@ -169,7 +169,7 @@ class AxesErrors:
                        for each, at in zip(recordings, rows, strict=True)]
         self.low, self.high = free.low, np.full(free.low.size, np.inf)
         self.longest = np.full(free.low.size, SETTINGS.longest)
-        self._is_hysteresis = np.isfinite(free.low)
+        self._is_hysteresis = free.is_hysteresis
         self._prior = np.where(self._is_hysteresis, 1.0 / HYSTERESIS_WIDTH, 1.0)
         travel_um = np.array([np.ptp(each.displacement_um, axis=0) for each in recordings])
         # An axis may rest without any noise.
@@ -181,7 +181,9 @@ class AxesErrors:
             self._parts, self._at(np.zeros(free.low.size)), strict=True)]
 
     def value(self, vector: FloatArray) -> float:
-        """Return the function to minimise; infinite where the simulation is not finite."""
+        """Return the function to minimise; infinite where no stage moves so, or not finitely."""
+        if not self._free.is_possible(vector):
+            return np.inf
         twice = np.sum((self._prior * vector) ** 2) + sum(
             np.sum(counts * np.log(squares)) for counts, squares in zip(
                 self._counts, self._squares_um2(vector), strict=True))

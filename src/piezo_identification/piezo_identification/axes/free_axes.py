@@ -2,7 +2,8 @@
 """The free parameters of a model of several axes in a joint fit, as changes in prior widths.
 
 Each actuator has those of the creep and the hysteresis of one axis, see `free_parameters`, and then
-the lag of its amplifier, if it has one. The poles follow, and then the gains of each motion.
+those of a Bouc-Wen hysteresis and the lag of its amplifier, if it has them. The poles follow, and
+then the gains of each motion.
 """
 
 from dataclasses import replace
@@ -22,6 +23,7 @@ from piezo_identification.fitting.free_parameters import (
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.cascade import StageModel
+from piezo_models.effects import fitted_values, with_fitted_values
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
@@ -43,20 +45,26 @@ class FreeAxes:
     of_poles, of_gains : slice
         Places of the changes of the poles, and of the gains of all motions.
     low : (n,) array
-        Lowest changes. They are finite for a hysteresis alone.
+        Lowest changes.
+    is_hysteresis : (n,) array of bool
+        Changes in which the drive is linear, those of a Preisach hysteresis.
     """
 
     def __init__(self, model: CoupledModel, numbers: CoupledNumbers) -> None:
         self.model, self._numbers = model, numbers
         self._stages = [_stage_of(each) for each in model.actuators]
-        lowest = [_lowest(each, stage) for each, stage in zip(
-            model.actuators, self._stages, strict=True)]
+        each_of = list(zip(model.actuators, self._stages, strict=True))
+        lowest = [_lowest(*each) for each in each_of]
         ends = np.cumsum([0, *(each.size for each in lowest), len(numbers.gains),
                           numbers.own().size])
         *self.of_actuators, self.of_poles, self.of_gains = (
             slice(int(begin), int(end)) for begin, end in zip(ends[:-1], ends[1:], strict=True))
         self.low = np.full(ends[-1], -np.inf)
         self.low[: self.of_poles.start] = np.concatenate(lowest)
+        self.is_hysteresis = np.zeros(ends[-1], dtype=bool)
+        for places, (actuator, stage) in zip(self.of_actuators, each_of, strict=True):
+            first = places.start + physical_count(stage)
+            self.is_hysteresis[first : first + _hysteresis_count(actuator, stage)] = True
         self.pole_widths = WIDTHS.logarithm * np.abs(numbers.logarithms)
         largest = [*np.abs(numbers.gains).max(axis=(1, 2)), *np.full(
             len(numbers.direct), np.abs(numbers.direct).max(initial=0.0))]
@@ -74,10 +82,20 @@ class FreeAxes:
         """Return the actuator of an axis after changes of all parameters."""
         stage, own = self._stages[axis], changes[self.of_actuators[axis]]
         actuator = self.model.actuators[axis]
-        of_stage, of_lag = np.split(own, [own.size - (actuator.lag_s > 0.0)])
-        changed = changed_model(stage, np.pad(of_stage, (0, free_count(stage) - of_stage.size)))
+        count = physical_count(stage) + _hysteresis_count(actuator, stage)
+        of_stage, of_bouc_wen, of_lag = np.split(own, [count, own.size - (actuator.lag_s > 0.0)])
+        changed = changed_model(stage, np.pad(of_stage, (0, free_count(stage) - count)))
         return Actuator(actuator.hysteresis and changed.hysteresis, changed.creep,
-                        actuator.lag_s * float(np.exp(WIDTHS.logarithm * of_lag.sum())))
+                        actuator.lag_s * float(np.exp(WIDTHS.logarithm * of_lag.sum())),
+                        actuator.bouc_wen and with_fitted_values(
+                            actuator.bouc_wen, fitted_values(actuator.bouc_wen)[0]
+                            + WIDTHS.logarithm * of_bouc_wen))
+
+    def is_possible(self, changes: FloatArray) -> bool:
+        """Return whether a stage can have the hysteresis of each actuator after changes."""
+        loops = (self.actuator_at(axis, changes).bouc_wen
+                 for axis in range(len(self.of_actuators)))
+        return not any(each.goes_back for each in loops if each)
 
     def model_at(self, changes: FloatArray) -> CoupledModel:
         """Return the model after changes of all parameters."""
@@ -139,7 +157,13 @@ def _stage_of(actuator: Actuator) -> StageModel:
 
 
 def _lowest(actuator: Actuator, stage: StageModel) -> FloatArray:
-    free = np.full(physical_count(stage), -np.inf)
-    if actuator.hysteresis is not None:
-        free = np.concatenate([free, lowest_changes(stage.hysteresis)])
-    return np.append(free, [-np.inf] * (actuator.lag_s > 0.0))
+    parts = [np.full(physical_count(stage), -np.inf),
+             lowest_changes(stage.hysteresis)[: _hysteresis_count(actuator, stage)]]
+    if actuator.bouc_wen is not None:
+        values, low, _ = fitted_values(actuator.bouc_wen)
+        parts.append((low - values) / WIDTHS.logarithm)
+    return np.concatenate([*parts, [-np.inf] * (actuator.lag_s > 0.0)])
+
+
+def _hysteresis_count(actuator: Actuator, stage: StageModel) -> int:
+    return 0 if actuator.hysteresis is None else free_count(stage) - physical_count(stage)

@@ -11,7 +11,7 @@ from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import STANDS_OUT
-from piezo_identification.fitting.whole_model import WholeFit, WholeModel
+from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
@@ -81,6 +81,8 @@ class SearchSettings:
 
 
 SETTINGS = SearchSettings()
+
+BOUC_WEN = "a Bouc-Wen hysteresis"
 
 Tried = tuple[str, WholeFit]
 """Description of a change of the structure, and the fit with it."""
@@ -180,6 +182,56 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             rivals[0][1].evidence_over(best) > -SETTINGS.promise):
         promising.reverse()
     return promising, tried
+
+
+def fitted_with_bouc_wen(problem: WholeModel,
+                         best: WholeFit) -> tuple[WholeModel, WholeFit, list[Tried]]:
+    """Fit a Bouc-Wen hysteresis in place of that of a fitted model.
+
+    No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
+    line, or of a curve if that is not enough. The pasts of the recordings are sought with the
+    fitted equation until that no longer helps.
+
+    Parameters
+    ----------
+    best : WholeFit
+        Fit of this problem.
+
+    Returns
+    -------
+    problem : WholeModel
+        The one of the returned fit.
+    best : WholeFit
+        Best fit with the equation, even if the given one is better.
+    tried : list of (str, WholeFit)
+        All fits in the order they were made.
+    """
+    delay_s, tried = best.delay_s, list[Tried]()
+
+    def fitted(change: str, other: WholeModel, model: StageModel) -> WholeFit:
+        tried.append((f"{BOUC_WEN}{change}", other.fit(model, delay_s, SETTINGS.steps)))
+        return tried[-1][1]
+
+    found, start = problem.with_bouc_wen(best.model)
+    fit = fitted("", found, start)
+    if not is_at_noise(found, fit):
+        curved = found.with_curve(start)
+        closer = fitted(", a curve", curved, start)
+        found, fit = (curved, closer) if is_better(closer, fit) else (found, fit)
+    for _ in range(SETTINGS.rounds):
+        if is_at_noise(found, fit):
+            break
+        again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
+        closer = fitted(", pasts sought again", again, fit.model)
+        if not is_better(closer, fit):
+            break
+        found, fit = again, closer
+    return found, fit, tried
+
+
+def is_promising(start: WholeFit, best: WholeFit) -> bool:
+    """Return whether a start may end up with more evidence than the best fit."""
+    return start.evidence_over(best) > -SETTINGS.promise_of_start
 
 
 def has_amplifier(fit: WholeFit) -> bool:

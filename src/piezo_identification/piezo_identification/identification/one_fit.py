@@ -21,12 +21,15 @@ from piezo_identification.estimators.frequency_response.response_model import Re
 from piezo_identification.estimators.frequency_response.response_search import ResponseSearch
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.fitting.structure_search import (
+    BOUC_WEN,
     SETTINGS,
     Structure,
     begun,
+    fitted_with_bouc_wen,
     has_amplifier,
     is_at_noise,
     is_better,
+    is_promising,
     searched,
 )
 from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
@@ -53,8 +56,6 @@ BEGUN, RENEWED = 0.3, 0.2
 LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
-
-BOUC_WEN = "a Bouc-Wen hysteresis"
 
 Tried = Sequence[tuple[str, WholeFit]]
 """What was changed, and the fit, in the order in which they were tried."""
@@ -100,21 +101,21 @@ class _Search:
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
             self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
-        if rival is not None and not _is_promising(states[0].best, rival):
+        if rival is not None and not is_promising(states[0].best, rival):
             return states[0]
         first = self._with_renewed_loops(states[0], BEGUN)
         drifting = self._with_bouc_wen(first, BEGUN)
         # A search behind loops of the wrong kind would describe them by dynamics.
         is_drifting = is_better(drifting.best, first.best)
         if is_drifting:
-            drifting = self._searched(self._simplest(drifting), BEGUN, length)
-            if is_at_noise(drifting.problem, drifting.best) or not _is_promising(
+            drifting = self._searched(drifting, BEGUN, length)
+            if is_at_noise(drifting.problem, drifting.best) or not is_promising(
                     first.best, drifting.best):
                 return drifting
         state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
         if not is_drifting:
             drifting = self._with_bouc_wen(state, 1.0)
-            if drifting is not state and _is_promising(drifting.best, state.best):
+            if drifting is not state and is_promising(drifting.best, state.best):
                 drifting = self._searched(drifting, 1.0, 0.0)
         return _better(drifting, state)
 
@@ -126,7 +127,7 @@ class _Search:
                 check_cancelled()
                 # It has to make up for what the search before has gained, too. The search makes
                 # an amplifier simpler itself.
-                is_new = (_is_promising(start.best, state.best) if has_amplifier(start.best)
+                is_new = (is_promising(start.best, state.best) if has_amplifier(start.best)
                           else is_better(start.best, state.best))
                 if is_new and not is_at_noise(state.problem, state.best):
                     begin = BEGUN + number * length
@@ -175,44 +176,21 @@ class _Search:
     def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
         """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
 
-        No Preisach hysteresis has loops that drift and do not close. A state at the noise or
-        without recorded loops is returned as it is, and so is any when the time is over.
+        A state at the noise or without recorded loops is returned as it is, and so is any when the
+        time is over.
         """
         shows_loops = not self.given.model.hysteresis.is_line or any(
             experiment_of(name) == "hysteresis" for name in self.read_late_s)
-        if not shows_loops or is_at_noise(state.problem, state.best):
+        if not shows_loops:
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
             self.report(BOUC_WEN, fraction)
-            found = self._best_bouc_wen(state)
-            if found.problem.is_possible(found.best):
-                return found
+            problem, best, tried = fitted_with_bouc_wen(state.problem, state.best)
+            self.tried.extend(tried)
+            if problem.is_possible(best):
+                return _State(self._given_with_line(problem), best, problem)
         return state
-
-    def _best_bouc_wen(self, state: _State) -> _State:
-        """Fit a Bouc-Wen hysteresis in front of a line, of a curve, and after other pasts."""
-        def fitted(change: str, problem: WholeModel, model: StageModel) -> _State:
-            fit = problem.fit(model, state.best.delay_s, SETTINGS.steps)
-            self.tried.append((f"{BOUC_WEN}{change}", fit))
-            return _State(self._given_with_line(problem), fit, problem)
-
-        problem, start = state.problem.with_bouc_wen(state.best.model)
-        found = fitted("", problem, start)
-        if not is_at_noise(problem, found.best):
-            found = _better(fitted(", a curve", problem.with_curve(start), start), found)
-        if not is_at_noise(found.problem, found.best):
-            after_others = found.problem.with_hysteresis(found.best.delayed_model, WIDE_PRIOR)
-            found = _better(fitted(", other pasts", after_others, found.best.model), found)
-        return found
-
-    def _simplest(self, state: _State) -> _State:
-        """Return the best of the starts of the search behind the hysteresis of a state."""
-        promising, tried = begun(
-            state.problem, state.best.model, state.best.delay_s, self._part(BEGUN, 0.0),
-            self.is_asked_for)
-        self.tried.extend(tried)
-        return replace(state, best=promising[0][1])
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
         """Search for the structure, and estimate the loops again after that."""
@@ -262,10 +240,6 @@ class _Search:
 
 def _better(other: _State, state: _State) -> _State:
     return other if is_better(other.best, state.best) else state
-
-
-def _is_promising(start: WholeFit, best: WholeFit) -> bool:
-    return start.evidence_over(best) > -SETTINGS.promise_of_start
 
 
 def fitted_together(

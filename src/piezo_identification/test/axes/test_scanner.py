@@ -13,6 +13,7 @@ from piezo_identification.axes import actuator_start, amplifier_lags
 from piezo_identification.axes.identify_axes import identify_several_axes
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_models.axes_model_file import load_axes_model, save_axes_model
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 
 sys.path.insert(0, str(Path(__file__).parent))
 import flexure
@@ -106,9 +107,11 @@ def test_where_no_hysteresis_is_shown_none_is_added():
 
 def test_a_saved_model_predicts_alike(identified, tmp_path):
     first, *others = identified.model.actuators
-    model = replace(identified.model, actuators=(replace(first, lag_s=2e-4), *others))
+    model = replace(identified.model, actuators=(
+        replace(first, lag_s=2e-4, bouc_wen=BoucWenHysteresis(3.0, 15.0)), *others))
     save_axes_model(tmp_path / "model.json", replace(identified, model=model))
     again, voltage_v = load_axes_model(tmp_path / "model.json"), slow_v(1000)
     np.testing.assert_allclose(again.model.simulate(voltage_v), model.simulate(voltage_v),
                                rtol=1e-9)
     assert "amplifier lag of x" in repr(again.summary())
+    assert "saturation_v of x" in repr(again.summary())

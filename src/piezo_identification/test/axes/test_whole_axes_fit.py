@@ -14,6 +14,7 @@ from piezo_identification.axes.modal_model import modal_model
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.whole_axes_fit import LAST_FIT, FittedStage, fit_to_all
 from piezo_models.axes.actuator import Actuator
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.axes import AxesRecording
@@ -61,9 +62,9 @@ def recordings():
     return found
 
 
-def start(factor):
+def start(factor, true=TRUE):
     """Return the true stage with gains, poles, creep and hysteresis that are off."""
-    free = FreeAxes(TRUE, NUMBERS)
+    free = FreeAxes(true, NUMBERS)
     changes = factor * np.random.default_rng(2).normal(size=free.low.size)
     changes[free.of_poles] /= 50.0
     numbers = free.numbers_at(changes)
@@ -76,8 +77,10 @@ def fitted(recordings):
     return fit_to_all(start(0.1), recordings)
 
 
-def test_derivatives_are_those_of_the_function(recordings):
-    stage = start(0.05)
+@pytest.mark.parametrize("bouc_wen", [None, BoucWenHysteresis(3.0, 15.0, unloading=0.7)])
+def test_derivatives_are_those_of_the_function(recordings, bouc_wen):
+    first, other = TRUE.actuators
+    stage = start(0.05, replace(TRUE, actuators=(first, replace(other, bouc_wen=bouc_wen))))
     errors = AxesErrors(FreeAxes(stage.model, stage.numbers), recordings)
     at = 0.02 * np.random.default_rng(3).normal(size=errors.low.size)
     residual, jacobian = errors.linearised(at)
@@ -85,6 +88,12 @@ def test_derivatives_are_those_of_the_function(recordings):
     step = 1e-4 * along
     slope = (errors.value(at + step) - errors.value(at - step)) / 2e-4
     assert residual @ jacobian @ along == pytest.approx(slope, rel=0.02)
+
+
+def test_loops_after_which_the_stage_would_go_back_are_no_model(recordings):
+    steep = replace(TRUE.actuators[1], bouc_wen=BoucWenHysteresis(6.0, 15.0, unloading=2.0))
+    free = FreeAxes(replace(TRUE, actuators=(TRUE.actuators[0], steep)), NUMBERS)
+    assert AxesErrors(free, recordings[:1]).value(np.zeros(free.low.size)) == np.inf
 
 
 def test_slow_and_fast_recordings_are_explained_to_the_noise(recordings, fitted):

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.pasts import PASTS, past_voltages
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
@@ -26,6 +27,12 @@ class Actuator:
     lag_s: float = 0.0
     """Time constant of the amplifier, which the hysteresis follows. The drive is the voltage that
     would move a stage without hysteresis and creep alike: the modes contain this lag as a pole."""
+    bouc_wen: BoucWenHysteresis | None = None
+    """Hysteresis whose loops drift, in front of `hysteresis`, which gives its range."""
+
+    def __post_init__(self) -> None:
+        if self.bouc_wen is not None and self.hysteresis is None:
+            raise ValueError("bouc_wen has no range without hysteresis; give one, such as a line")
 
     @property
     def slope_um_per_v(self) -> float:
@@ -45,9 +52,11 @@ class Actuator:
         hysteresis = self.hysteresis
         if hysteresis is None:
             return voltage_v
+        low_v, high_v = hysteresis.voltage_min_v, hysteresis.voltage_max_v
+        past_v = past_voltages(past, voltage_v[0], low_v, high_v)
+        voltage_v = self._drifting_v(voltage_v, np.concatenate([[low_v, high_v], past_v]), periodic)
         memory = hysteresis.memory()
-        hysteresis.simulate(past_voltages(past, voltage_v[0], hysteresis.voltage_min_v,
-                                          hysteresis.voltage_max_v), memory)
+        hysteresis.simulate(past_v, memory)
         if periodic:
             hysteresis.simulate(voltage_v, memory)
         risen_um = hysteresis.simulate(voltage_v, memory) - hysteresis.offset_um
@@ -121,7 +130,22 @@ class Actuator:
         memory = hysteresis.memory()
         hysteresis.invert(wanted_um, memory)  # first pass: the past is the period itself
         followed_v = hysteresis.invert(wanted_um, memory) + passed_v - within_v
+        if self.bouc_wen is not None:
+            followed_v = self.bouc_wen.compensate(followed_v, sample_period_s)
         return (followed_v - lag * np.roll(followed_v, 1)) / (1.0 - lag)
+
+    def _drifting_v(self, voltage_v: FloatArray, past_v: FloatArray,
+                    periodic: bool) -> FloatArray:
+        """Return the voltage behind the Bouc-Wen hysteresis, (N,).
+
+        The past is what preceded the first voltage, or the first period.
+        """
+        if self.bouc_wen is None:
+            return voltage_v
+        memory = self.bouc_wen.memory_after(past_v)
+        if periodic:
+            _, memory = self.bouc_wen.advance(voltage_v, 1.0, memory)
+        return self.bouc_wen.advance(voltage_v, 1.0, memory)[0]
 
     def _within(self, voltage_v: FloatArray) -> FloatArray:
         assert self.hysteresis is not None

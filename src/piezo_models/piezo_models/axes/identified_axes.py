@@ -128,8 +128,13 @@ class IdentifiedAxes:
                              self.coupling.deviation_um_per_v[lowest, i, j].real))
         rows += [(f"delay of {axis}", "s", float(delay_s), float(off_s)) for axis, delay_s, off_s in
                  zip(model.axes, self.delays_s, self.delay_deviations_s, strict=True)]
-        rows += [(f"amplifier lag of {axis}", "s", each.lag_s, None)
-                 for axis, each in zip(model.axes, model.actuators, strict=False) if each.lag_s]
+        for axis, each in zip(model.axes, model.actuators, strict=False):
+            if each.lag_s:
+                rows.append((f"amplifier lag of {axis}", "s", each.lag_s, None))
+            if each.bouc_wen is not None:
+                units = each.bouc_wen.units()
+                rows += [(f"{name} of {axis}, {each.bouc_wen.name}", units[name], value, None)
+                         for name, value in each.bouc_wen.parameters().items()]
         notes = [f"{axis}: e_y {error['e_y_percent']:.3g} % on data that was not fitted"
                  for axis, error in self.errors.items()]
         notes += self.softening_sentences()

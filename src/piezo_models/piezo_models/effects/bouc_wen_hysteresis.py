@@ -80,6 +80,16 @@ class BoucWenHysteresis(Effect):
         """Return the memory after voltages; as the equation has no time, their period is free."""
         return self.advance(np.asarray(voltage_v, dtype=float), 1.0)[1]
 
+    @property
+    def gain_range(self) -> tuple[float, float]:
+        """Return the smallest and largest slope of what is passed on over the voltage."""
+        return 1.0 - (1.0 + self.unloading) * self.saturation_v / self.relaxation_v, 1.0
+
+    @property
+    def goes_back(self) -> bool:
+        """Return whether a displacement would decrease, or hardly move, as the voltage rises."""
+        return self.gain_range[0] < 1.0 - STEEPEST
+
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
         """Bound the voltages by the span of the recordings."""
@@ -88,9 +98,7 @@ class BoucWenHysteresis(Effect):
 
     def impossible(self, extent: Extent) -> str | None:
         """Reject a displacement that decreases while the voltage rises."""
-        if (1.0 + self.unloading) * self.saturation_v > STEEPEST * self.relaxation_v:
-            return "the stage would go back while the voltage goes on"
-        return None
+        return "the stage would go back while the voltage goes on" if self.goes_back else None
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

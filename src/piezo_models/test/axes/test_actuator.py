@@ -9,6 +9,7 @@ import pytest
 
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
 
@@ -63,6 +64,34 @@ def test_the_inverse_repeats_a_drive():
     found_v = actuator.drive_v(voltage_v, PERIOD_S, periodic=True)
     np.testing.assert_allclose(found_v, wanted_v, atol=1e-9)
     assert np.ptp(voltage_v - wanted_v) > 0.1
+
+
+DRIFTING = Actuator(PreisachModel.line(0.0, 10.0, 1.0),
+                    bouc_wen=BoucWenHysteresis(0.6, 2.0, unloading=1.0))
+
+
+def test_loops_that_drift_begin_where_the_past_left_them():
+    # From either end of the range, what is taken is saturated; the equation of Dahl then decays.
+    up_v = np.linspace(0.0, 10.0, 101)
+    rising_v = DRIFTING.passed_v(up_v, past="rising")
+    left_v = 0.6 * (1.0 - np.exp(-5.0))
+    taken_v = 0.6 - (0.6 + left_v) * np.exp(-up_v / 2.0)
+    np.testing.assert_allclose(rising_v, up_v - taken_v, atol=1e-2)
+    falling_v = DRIFTING.passed_v(up_v[::-1].copy(), past="falling")
+    np.testing.assert_allclose(10.0 - falling_v, rising_v, atol=1e-2)
+
+
+def test_the_inverse_repeats_a_drive_through_loops_that_drift():
+    turn = 2.0 * np.pi * np.arange(400) / 400
+    wanted_v = 5.0 + 3.0 * np.sin(turn) + 0.5 * np.cos(3.0 * turn)
+    voltage_v = DRIFTING.inverse_v(wanted_v, PERIOD_S)
+    np.testing.assert_allclose(
+        DRIFTING.drive_v(voltage_v, PERIOD_S, periodic=True), wanted_v, atol=1e-4)
+
+
+def test_loops_that_drift_need_a_range():
+    with pytest.raises(ValueError, match="range"):
+        Actuator(bouc_wen=DRIFTING.bouc_wen)
 
 
 @pytest.mark.parametrize("late", [(0, 0), (0, 3)])
