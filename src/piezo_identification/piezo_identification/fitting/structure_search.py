@@ -206,26 +206,27 @@ def fitted_with_bouc_wen(problem: WholeModel,
     tried : list of (str, WholeFit)
         All fits in the order they were made.
     """
-    delay_s, tried = best.delay_s, list[Tried]()
+    tried = list[Tried]()
 
-    def fitted(change: str, other: WholeModel, model: StageModel) -> WholeFit:
-        tried.append((f"{BOUC_WEN}{change}", other.fit(model, delay_s, SETTINGS.steps)))
-        return tried[-1][1]
+    def fitted(form: str, found: WholeModel, start: StageModel) -> Begun:
+        fit = found.fit(start, best.delay_s, SETTINGS.steps)
+        tried.append((form, fit))
+        for _ in range(SETTINGS.rounds):
+            if is_at_noise(found, fit):
+                break
+            again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
+            closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
+            tried.append((f"{form}, pasts sought again", closer))
+            if not is_better(closer, fit):
+                break
+            found, fit = again, closer
+        return found, fit
 
-    found, start = problem.with_bouc_wen(best.model)
-    fit = fitted("", found, start)
+    with_line, start = problem.with_bouc_wen(best.model)
+    found, fit = fitted(BOUC_WEN, with_line, start)
     if not is_at_noise(found, fit):
-        curved = found.with_curve(start)
-        closer = fitted(", a curve", curved, start)
+        curved, closer = fitted(f"{BOUC_WEN}, a curve", with_line.with_curve(start), start)
         found, fit = (curved, closer) if is_better(closer, fit) else (found, fit)
-    for _ in range(SETTINGS.rounds):
-        if is_at_noise(found, fit):
-            break
-        again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
-        closer = fitted(", pasts sought again", again, fit.model)
-        if not is_better(closer, fit):
-            break
-        found, fit = again, closer
     return found, fit, tried
 
 

@@ -54,6 +54,6 @@ def test_loops_that_close_stay_preisach_loops():
 
 def test_a_start_stays_as_it_is_where_a_recording_is_too_short():
     given = start(LOOPS)
-    found = fitted_alone(given, moved(Actuator(LOOPS, CREEP), rows=200), is_line=False)
+    found = fitted_alone(given, moved(Actuator(LOOPS, CREEP), rows=80), is_line=False)
     assert found.hysteresis is given.hysteresis
     assert found.creep == given.creep
