@@ -13,10 +13,10 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.bouc_wen_hysteresis import STEEPEST, BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 
-RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 12))
+RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 8))
 """Relaxation voltages that are tried, relative to half the range."""
 
-UNLOADINGS = (0.0, 0.5, 1.0, 2.0)
+UNLOADINGS = (0.0, 1.0, 2.0)
 """Factors of unloading that are tried with each of them."""
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
@@ -189,8 +190,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
     """Fit a Bouc-Wen hysteresis in place of that of a fitted model.
 
     No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
-    line, or of a curve if that is not enough. The pasts of the recordings are sought with the
-    fitted equation until that no longer helps.
+    line, or of a curve if that is not enough. If it is promising, the pasts of the recordings are
+    sought with the fitted equation until that no longer helps.
 
     Parameters
     ----------
@@ -209,15 +210,16 @@ def fitted_with_bouc_wen(problem: WholeModel,
     tried = list[Tried]()
 
     def fitted(form: str, found: WholeModel, start: StageModel) -> Begun:
-        fit = found.fit(start, best.delay_s, SETTINGS.steps)
+        fit = _raced(found, Structure(form, start, best.delay_s), best, SETTINGS.steps,
+                     promise=SETTINGS.promise_of_start)
         tried.append((form, fit))
         for _ in range(SETTINGS.rounds):
-            if is_at_noise(found, fit):
+            if is_at_noise(found, fit) or not is_promising(fit, best):
                 break
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
             tried.append((f"{form}, pasts sought again", closer))
-            if not is_better(closer, fit):
+            if not is_better(closer, fit) or closer.evidence_over(fit) < SETTINGS.distinct:
                 break
             found, fit = again, closer
         return found, fit
@@ -310,7 +312,8 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
 
     def fit(structure: Structure) -> None:
         steps = SETTINGS.steps if is_wrong or structure.is_far else SETTINGS.screening_steps
-        screened.append((structure.change, _raced(problem, structure, best, steps)))
+        screened.append((structure.change, _raced(
+            problem, structure, best, steps, best.density_changes)))
 
     def reported(number: int) -> None:
         report(listed[number].change, number / len(listed))
@@ -320,11 +323,13 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     side_by_side(fit, listed[1:], lambda number: reported(number + 1))
 
 
-def _raced(problem: WholeModel, structure: Structure, best: WholeFit, steps: int) -> WholeFit:
+def _raced(problem: WholeModel, structure: Structure, best: WholeFit, steps: int,
+           density_changes: FloatArray | None = None,
+           promise: float = SETTINGS.promise) -> WholeFit:
     """Fit a structure, but end if it would not come near the best fit with gains as the last."""
-    fit, left = problem.fit(structure.model, structure.delay_s, 1, best.density_changes), steps - 1
+    fit, left = problem.fit(structure.model, structure.delay_s, 1, density_changes), steps - 1
     while left > 0 and not fit.has_converged and (
-            -fit.evidence_over(best) < SETTINGS.promise + left * fit.gain):
+            -fit.evidence_over(best) < promise + left * fit.gain):
         more = min(left, SETTINGS.screening_steps)
         fit, left = problem.again(fit, more), left - more
     return fit

@@ -255,7 +255,7 @@ def test_no_recording_and_too_short_a_recording_are_refused(plant, record):
         diagnose(plant, [])
     part = played(record())
     with pytest.raises(ValueError, match="record longer"):
-        diagnose(plant, [part.select(np.arange(part.voltage_v.size) < 600)])
+        diagnose(plant, [part.select(np.arange(part.voltage_v.size) < 90)])
 
 
 @pytest.mark.usefixtures("without_pictures")
