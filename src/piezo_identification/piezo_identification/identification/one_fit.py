@@ -181,7 +181,7 @@ class _Search:
         """
         shows_loops = not self.given.model.hysteresis.is_line or any(
             experiment_of(name) == "hysteresis" for name in self.read_late_s)
-        if not shows_loops:
+        if not shows_loops or is_at_noise(state.problem, state.best):
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
