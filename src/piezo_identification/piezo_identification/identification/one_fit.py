@@ -207,8 +207,7 @@ class _Search:
         best, changed = searched(
             start.problem, start.best, self._part(begin, length), self.is_asked_for)
         self.tried.extend(changed)
-        is_possible = start.problem.is_possible(best) or not start.problem.is_possible(start.best)
-        return replace(start, best=best) if is_possible else start
+        return replace(start, best=best) if start.problem.is_possible(best) else start
 
     def _with_renewed_loops(self, before: _State, fraction: float,
                             width: float = WIDE_PRIOR) -> _State:

@@ -3,11 +3,13 @@
 
 import numpy as np
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.estimators.creep.power_law import POWER_LAW, RATIO, continued
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+from piezo_recorder import recording_of
 
 PERIOD_S, HELD, NOISE_UM, EXPONENT, PART = 0.04, 1000, 0.002, 0.12, 0.05
 LEVELS_V = (20.0, 80.0, 20.0, 80.0, 20.0)
@@ -86,3 +88,17 @@ def test_a_law_whose_gains_increase_with_the_rates_leaves_an_immediate_gain():
         faster = np.exp(all_gains[rates.size :]).sum()
         np.testing.assert_allclose(np.exp(all_gains[: rates.size] - gains), 1.0 + faster)
         assert faster <= 1.0 + 1e-9
+
+
+def test_ringing_that_slow_rows_alias_is_no_creep():
+    rate_rad_per_s, damping, period_s = 646.0, 0.008, 0.01
+    [numerator], denominator, _ = cont2discrete(
+        ([rate_rad_per_s**2], [1.0, 2.0 * damping * rate_rad_per_s, rate_rad_per_s**2]),
+        period_s, "zoh")
+    voltage_v = np.repeat([-5.0, 5.0, 5.0, 0.0], 750)
+    displacement_um = lfilter(numerator, denominator, np.append(np.full(2000, -5.0), voltage_v))
+    noise_um = 1e-4 * np.random.default_rng(0).normal(size=voltage_v.size)
+    estimate = estimate_slow_creep([recording_of({
+        "time_s": period_s * np.arange(voltage_v.size), "voltage_v": voltage_v,
+        "displacement_um": displacement_um[2000:] + noise_um})])
+    assert not estimate.model.poles_rad_per_s
