@@ -303,8 +303,9 @@ def extend(model: IdentifiedModel | str | PathLike[str], verdict: Verdict, data:
 
     Examples
     --------
-    >>> extend(model, verdict, "late.csv").model.effects     # those of `diagnose`
-    (Delay(delay_s=0.0001),)
+    >>> [late] = extend(model, verdict, "late.csv").model.effects     # that of `diagnose`
+    >>> print(f"{late.name} of {late.delay_s:.4g} s")
+    delay of 0.0001 s
     """
     identified = model if isinstance(model, IdentifiedModel) else load_model(model)
     response = response_in(data)
