@@ -109,8 +109,7 @@ class _Search:
         is_drifting = is_better(drifting.best, first.best)
         if is_drifting:
             drifting = self._searched(drifting, BEGUN, length)
-            if is_at_noise(drifting.problem, drifting.best) or not is_promising(
-                    first.best, drifting.best):
+            if is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
                 return drifting
         state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
         if not is_drifting:
