@@ -298,14 +298,18 @@ def fitted_together(
     search = _Search(
         problem, fitted, read_late_s, new_loops, partial(_has_order, order), report)
     state = search.with_held_out_rows(search.best(delay_s or None))
-    fitted, best = state.fitted, state.best
-    note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
-                partial(structure_figure, search.tried, best)))
+    best = state.best
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s
                        for name, late_s in read_later(read_late_s, best).items()}
-    if max(read_at_samples.values()) > LATEST_READING:
+    latest = max(read_at_samples, key=lambda name: read_at_samples[name])
+    if read_at_samples[latest] > LATEST_READING:
+        note(f"the model is that of the separate steps, as the fit of the whole model would read "
+             f"rows of the {latest} {read_at_samples[latest]:.3g} sample periods after their "
+             "voltage")
         return fitted, dict(read_at)
-    return with_fit(fitted, best), dict(read_at) | read_at_samples
+    note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
+                partial(structure_figure, search.tried, best)))
+    return with_fit(state.fitted, best), dict(read_at) | read_at_samples
 
 
 def _long_ones(model: StageModel, recordings: Mapping[str, Recording]) -> dict[str, Recording]:

@@ -7,8 +7,10 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identification import one_fit
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.one_fit import _long_ones, fitted_together, reliable
+from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 
 
 def test_errors_that_repeat_widen_the_standard_deviations_of_what_they_affect():
@@ -43,3 +45,18 @@ def test_short_stretches_are_fitted_where_an_experiment_has_no_others_alone(plan
     given = {name: recorded(name, np.arange(count) % 7.0, np.zeros(count), 1e-3)
              for name, count in rows.items()}
     assert [*_long_ones(plant, given)] == ["dynamics", "hysteresis"]
+
+
+def test_a_fit_that_would_read_rows_too_late_is_not_written_and_that_is_said(
+        recorded, monkeypatch):
+    monkeypatch.setattr(one_fit, "LATEST_READING", -1.0)  # every reading is too late
+    voltage_v = 5.0 - 5.0 * np.cos(0.1 * np.arange(300))
+    line = StageModel(PreisachModel.line(0.0, 10.0, 2.0), CreepDynamics(),
+                      ElectricVibrationDynamics())
+    given, notes = FittedModel(line, {}, np.ones((1, 1), dtype=bool)), list[str]()
+    fitted, read_at = fitted_together(
+        given, {"hysteresis": recorded("loops", voltage_v, 1.9 * voltage_v, 0.01)},
+        {"hysteresis": 0.0}, None, ANY_ORDER, lambda *_: None, notes.append)
+    assert fitted is given
+    assert read_at == {"hysteresis": 0.0}
+    assert len(notes) == 1 and "the model is that of the separate steps" in notes[0]
