@@ -19,7 +19,6 @@ RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 8))
 UNLOADINGS = (0.0, 1.0, 2.0)
 """Factors of unloading that are tried with each of them."""
 
-
 LEAST_TAKEN = 1e-3
 """Smallest saturation, relative to the largest possible one."""
 
@@ -45,18 +44,18 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     bare_parts = [part.with_model(bare) for part in parts]
     simulated_um = [part.simulate() for part in bare_parts]
     low_um, high_um = line.output_range_um
-    bends = [_without_nuisance(bare_parts, [
+    bends = [_joined(bare_parts, [
         ((each - low_um) / (high_um - low_um) - 0.5) ** power for each in simulated_um])
         for power in (2, 3)]
-    without_um = _without_nuisance(bare_parts, simulated_um)
-    measured_um = _without_nuisance(bare_parts, [part.measured_um for part in bare_parts])
+    without_um = _joined(bare_parts, simulated_um)
+    measured_um = _joined(bare_parts, [part.measured_um for part in bare_parts])
     half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
     found = []
     for relaxation, unloading in product(RELAXATIONS, UNLOADINGS):
         relaxation_v = half_v * relaxation
         most_v = STEEPEST * relaxation_v / (1.0 + unloading)
         loops = BoucWenHysteresis(most_v, relaxation_v, unloading)
-        taken_um = without_um - _without_nuisance(
+        taken_um = without_um - _joined(
             bare_parts, [part.simulate((loops,)) for part in bare_parts])
         gain, lost, *_ = _regression([without_um, -taken_um, *bends], measured_um)[0]
         taken = float(np.clip(lost / gain, LEAST_TAKEN, 1.0)) if gain > 0.0 else LEAST_TAKEN
@@ -75,15 +74,8 @@ def _regression(columns: Sequence[FloatArray], target: FloatArray) -> tuple[Floa
     return sizes, float(np.sum((target - matrix @ sizes) ** 2))
 
 
-def _without_nuisance(parts: Sequence[SimulatedRecording],
-                      signals: Sequence[FloatArray]) -> FloatArray:
-    """Return the good rows of signals with offset and initial creep projected out, joined.
-
-    Each recording has the same weight.
-    """
-    joined = []
-    for part, signal in zip(parts, signals, strict=True):
-        basis = np.linalg.qr(part.nuisance_regressors(part.good))[0]
-        rows = signal[part.good]
-        joined.append((rows - basis @ (basis.T @ rows)) / np.sqrt(rows.size))
-    return np.concatenate(joined)
+def _joined(parts: Sequence[SimulatedRecording], signals_um: Sequence[FloatArray]) -> FloatArray:
+    """Return the good rows of signals but for initial motion; each recording counts the same."""
+    return np.concatenate([
+        part.without_initial_motion(signal_um) / np.sqrt(part.good.size)
+        for part, signal_um in zip(parts, signals_um, strict=True)])

@@ -524,17 +524,17 @@ def _within_limits(kind: type[VibrationMode], values: Mapping[str, float]) -> Vi
 
 def apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
     """Return modes with overlapping ones merged: a fit may split one to follow the loops."""
-    apart = list[VibrationMode]()
+    merged = list[VibrationMode]()
     for mode in sorted(modes, key=lambda mode: mode.frequency_rad_per_s):
-        last = apart[-1] if apart else None
+        last = merged[-1] if merged else None
         if last is not None and mode.frequency_rad_per_s - last.frequency_rad_per_s < (
                 last.damping_ratio + mode.damping_ratio) * mode.frequency_rad_per_s:
             larger = max(last, mode, key=lambda each: abs(each.participation))
-            apart[-1] = _within_limits(type(larger), larger.parameters() | {
+            merged[-1] = _within_limits(type(larger), larger.parameters() | {
                 "participation": last.participation + mode.participation})
         else:
-            apart.append(mode)
-    return apart
+            merged.append(mode)
+    return merged
 
 
 def _rings(problem: WholeModel, mode: VibrationMode) -> bool:

@@ -81,11 +81,10 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     part = after_saturation(model, recording.select(early))
     if not model.has_hysteresis or _starts_saturated(part):
         return ()
-    past_v = min(_closest_past_v(part), _closest_demagnetised_v(part),
-                 key=lambda past_v: part.after(past_v).error_um())
-    explains_more = (
-        part.after(past_v).error_um() < SETTINGS.largest_error_ratio * part.error_um())
-    return past_v if explains_more else ()
+    closest = min((part.after(past_v) for past_v in (
+        _closest_past_v(part), _closest_demagnetised_v(part))), key=SimulatedRecording.error_um)
+    explains_more = closest.error_um() < SETTINGS.largest_error_ratio * part.error_um()
+    return closest.past_v if explains_more else ()
 
 
 def after_saturation(model: StageModel, recording: Recording) -> SimulatedRecording:

@@ -217,11 +217,15 @@ class SimulatedRecording:
 
     def error_um(self, rows: NDArray[np.intp] | None = None) -> float:
         """Return the RMS error at sorted rows (by default `good`), but for initial motion."""
-        rows = self.good if rows is None else rows
-        difference_um = (self.measured_um - self.simulate())[rows]
-        basis = self._basis(rows)
-        difference_um -= basis @ (basis.T @ difference_um)
+        difference_um = self.without_initial_motion(self.measured_um - self.simulate(), rows)
         return float(np.sqrt(np.mean(difference_um**2)))
+
+    def without_initial_motion(self, signal_um: FloatArray,
+                               rows: NDArray[np.intp] | None = None) -> FloatArray:
+        """Return sorted rows (by default `good`) of a signal, (N,), but for initial motion."""
+        rows = self.good if rows is None else rows
+        basis, chosen_um = self._basis(rows), signal_um[rows]
+        return np.asarray(chosen_um - basis @ (basis.T @ chosen_um))
 
     def fitted_um(self, rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the settled displacement, (n,), with the initial motion fitted at sorted rows.

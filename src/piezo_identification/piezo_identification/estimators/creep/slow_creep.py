@@ -90,7 +90,7 @@ HELD = 1e-8
 CANDIDATES = 12
 """Number of rates tried for each further exponential."""
 
-STEEPEST = 1.0
+LARGEST_EXPONENT = 1.0
 """Largest exponent of a power law, of either sign: that of a motion in proportion to time."""
 
 FIRST_GAINS = (0.01, 0.05)
@@ -360,7 +360,7 @@ class _Problem:
         free = of_level_and_exponent(rates, rates.mean())
         solution = least_squares(
             lambda numbers: self.residual(fixed + free @ numbers), [np.log(FIRST_GAINS[0]), 0.0],
-            bounds=list(zip(self.gains, (-STEEPEST, STEEPEST), strict=True)),
+            bounds=list(zip(self.gains, (-LARGEST_EXPONENT, LARGEST_EXPONENT), strict=True)),
             xtol=1e-7, ftol=1e-9, gtol=1e-12, max_nfev=30)
         return fixed + free @ solution.x, free
 
