@@ -32,6 +32,7 @@ def test_every_example_has_its_test():
     assert {path.stem for path in examples} == COVERED | OFFLINE
 
 
+@pytest.mark.long
 def test_notebook_drives_the_stage_and_shows_what_it_did(suite, model, tmp_path):
     printed = suite.beside(
         run_example, "../tools/run_cells", EXAMPLES / "with_the_stage.ipynb", "namespace=left",

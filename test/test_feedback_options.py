@@ -59,6 +59,7 @@ def test_controller_that_does_not_stabilise_the_model_is_refused_and_nothing_mov
     assert parameters["controller"] == str(files / "stable.json")
 
 
+@pytest.mark.long
 def test_single_rate_of_a_short_tick_tracks(nodes, files, tmp_path):
     assert single_rate(nodes, files, tmp_path, 10).e_rms_percent < 1.0
 

@@ -16,10 +16,10 @@ TIMEOUT_S = 300.0
 # the law of a model of real size found none.
 KILLED_RECORDERS = [("lockstep", "track", "recorder", signal.SIGKILL)] * 2
 # The rest differ from these in what they have in common with another one; where the time comes
-# from is of no matter to who notices that somebody is gone, and lockstep waits for nothing.
+# from is of no matter to who notices that somebody is gone, and lockstep waits for nothing. The
+# operator's death is that of a client in test_stage_faults.py.
 OTHERS = [
     ("lockstep", "track", "worker", signal.SIGKILL),
-    ("lockstep", "track", "operator", signal.SIGKILL),
     ("lockstep", "run_experiment", "stage", signal.SIGKILL),
     ("lockstep", "run_experiment", "recorder", signal.SIGSTOP),
 ]
