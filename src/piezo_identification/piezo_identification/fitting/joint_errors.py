@@ -16,6 +16,7 @@ and a step reduces it by no more than the function itself.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,9 @@ class ErrorSettings:
 
 
 SETTINGS = ErrorSettings()
+
+KEPT_VALUES = 8
+"""Number of cached values of each effect: those of the point and of the steps from it."""
 
 
 class RecordingBefore(SimulatedRecording):
@@ -223,6 +227,7 @@ class JointErrors:
             dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
+        self._with_last_values: list[dict[bytes, Effect]] = [{} for _ in effects]
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
         self._columns_are_given = columns is not None
         if columns is not None:
@@ -235,8 +240,18 @@ class JointErrors:
 
     def effects_at(self, vector: FloatArray) -> tuple[Effect, ...]:
         """Return the fitted effects at some unknowns, followed by the held effects."""
-        return (*(with_fitted_values(effect, vector[start:end]) for effect, start, end in zip(
-            self._effects, self._ends[:-1], self._ends[1:], strict=True)), *self._held)
+        return (*(self._with_values(index, vector[start:end]) for index, (start, end) in enumerate(
+            pairwise(self._ends))), *self._held)
+
+    def _with_values(self, index: int, values: FloatArray) -> Effect:
+        """Return an effect with fitted values, cached: a derivative changes one of them."""
+        key = values.tobytes()
+        known = self._with_last_values[index]
+        if key not in known:
+            for old in list(known)[: 1 - KEPT_VALUES]:
+                known.pop(old, None)  # a parallel fit may have removed it
+            known[key] = with_fitted_values(self._effects[index], values)
+        return known[key]
 
     def dataset_at(self, vector: FloatArray) -> Dataset:
         """Return the data set simulated with the changed model, with its nuisance regressors."""

@@ -32,6 +32,10 @@ LONG = 128
 """Samples of a block if few outputs are needed, which makes the states the main cost."""
 
 
+MANY = 0.4
+"""Share of the samples above which all are computed, as products of matrices, instead of some."""
+
+
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
                state: FloatArray, output: FloatArray) -> int:
     """Simulate all whole blocks, and return their number of samples, a multiple of `LENGTH`.
@@ -63,6 +67,13 @@ def outputs_in_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: Float
     for all outputs. `c` is (outputs, n), `direct` is (outputs,); the state at the first sample is
     overwritten.
     """
+    if at.size >= FEWEST and at.size > MANY * samples.size:
+        # The outputs do not depend on the samples after them.
+        whole = np.concatenate([samples, np.zeros(-samples.size % LENGTH)])
+        every = np.empty((len(c), whole.size))
+        for own, own_direct, output in zip(c, direct, every, strict=True):
+            run_blocks(a, b, own, own_direct, whole, state.copy(), output)
+        return np.ascontiguousarray(every.T[at])
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
     answers, latest_first = np.empty((at.size, len(c))), np.ascontiguousarray(impulse[:, ::-1])
     last = at[-1] + 1 if at.size else 0

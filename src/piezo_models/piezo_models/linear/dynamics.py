@@ -8,6 +8,7 @@ combined without the cancellation of high-order polynomials.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import control
@@ -25,6 +26,9 @@ from piezo_models.linear.connections import (
     matrices_of,
     scaled,
 )
+
+KEPT = 64
+"""Number of cached modes."""
 
 Section = tuple[Any, Any, Any, Any]
 """Matrices A, B, C and D of a section of the cascade."""
@@ -186,8 +190,12 @@ class ElectricVibrationDynamics:
         return response / (self.time_constant_s * s + 1.0)
 
 
+@lru_cache(maxsize=KEPT)
 def _branch(mode: Any) -> Matrices:
-    """Return the mode's part of the displacement; of other packages, its part at rest."""
+    """Return the mode's part of the displacement; of other packages, its part at rest.
+
+    It is cached, as a fit changes one mode at a time, and must not be changed.
+    """
     if hasattr(mode, "branch"):
         return matrices_of(mode.branch())
     return scaled(mode.participation, matrices_of(mode.state_space()))

@@ -102,9 +102,12 @@ class Equations:
         return result
 
     def solve(
-        self, penalties: Penalties, multiplier: FloatArray | None = None,
+        self, penalties: Penalties, multiplier: FloatArray | None = None, is_rough: bool = False,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return unknowns, coefficients of the other columns, and multipliers of the bounds."""
+        """Return unknowns, coefficients of the other columns, and multipliers of the bounds.
+
+        See `nonnegative_minimum` for a rough solution.
+        """
         roughness = penalties.smoothing * bending_operator(self.size)
         if penalties.translation:
             roughness = roughness + penalties.translation * _sliding(self.size)
@@ -116,7 +119,7 @@ class Equations:
         unknowns, coefficients, forces = nonnegative_minimum(
             quadratic, self.linear / self.count + quadratic @ self.about, _bounded(self.size),
             border, self.corner / self.count,
-            self.border_linear / self.count + self.about @ border, multiplier,
+            self.border_linear / self.count + self.about @ border, multiplier, is_rough,
         )
         return unknowns - self.about, coefficients, forces
 

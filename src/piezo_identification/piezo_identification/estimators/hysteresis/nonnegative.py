@@ -13,11 +13,13 @@ from piezo_common.cancellation import check_cancelled
 PENALTY = 100.0
 """Penalty of a violated bound, relative to the mean curvature of the quadratic form."""
 
-VIOLATION = 1e-5
-"""Sum of values below zero, relative to the sum of magnitudes, that counts as zero."""
+VIOLATION, ROUGH_VIOLATION = 1e-5, 1e-3
+"""Sum of values below zero, relative to the sum of magnitudes, that counts as zero; for a rough
+minimum, too."""
 
-UNDECIDED = 1e-3
-"""Share of bounds that change in a step below which the rest does not matter."""
+UNDECIDED, ROUGHLY_UNDECIDED = 1e-3, 1e-2
+"""Share of bounds that change in a step below which the rest does not matter; for a rough minimum,
+too."""
 
 BISECTIONS = 10
 """Number of bisections that determine the length of a step."""
@@ -32,6 +34,7 @@ MOST_FACTORISATIONS = 60
 def nonnegative_minimum(
     quadratic: csr_array, linear: FloatArray, bounded: csr_array, border: FloatArray,
     corner: FloatArray, border_linear: FloatArray, multiplier: FloatArray | None = None,
+    is_rough: bool = False,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Minimise x H x / 2 - c x over x = (e, z) with T e >= 0, sparse in e, with a few z.
 
@@ -52,17 +55,21 @@ def nonnegative_minimum(
     border_linear : ndarray, shape (k,)
     multiplier : ndarray, shape (m,), optional
         Initial multipliers of the bounds, which save factorisations.
+    is_rough : bool
+        True for a minimum with about half of the factorisations, to compare penalties.
 
     Returns
     -------
     ndarray, shape (n,)
-        e; `bounded @ e` may be below zero by `VIOLATION`.
+        e; `bounded @ e` may be below zero by `VIOLATION` or `ROUGH_VIOLATION`.
     ndarray, shape (k,)
         z.
     ndarray, shape (m,)
         Multipliers of the bounds.
     """
     bounded = bounded.tocsr()
+    violation, undecided = ((ROUGH_VIOLATION, ROUGHLY_UNDECIDED) if is_rough
+                            else (VIOLATION, UNDECIDED))
     penalty = PENALTY * quadratic.diagonal().mean()
     forces = np.zeros(bounded.shape[0]) if multiplier is None else multiplier
 
@@ -94,8 +101,8 @@ def nonnegative_minimum(
         check_cancelled()
         values = bounded @ point
         violated = forces - penalty * values > 0.0
-        if np.count_nonzero(violated != active) <= UNDECIDED * active.size:
-            if -np.minimum(values, 0.0).sum() <= VIOLATION * np.abs(values).sum():
+        if np.count_nonzero(violated != active) <= undecided * active.size:
+            if -np.minimum(values, 0.0).sum() <= violation * np.abs(values).sum():
                 break
             forces = np.maximum(forces - penalty * values, 0.0)
             violated = forces > 0.0

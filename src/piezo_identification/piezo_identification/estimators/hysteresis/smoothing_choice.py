@@ -159,7 +159,7 @@ class _Trials:
         """Sum of the squared errors of each fold."""
         if penalties not in self._misfits:
             def fitted(index: int, forces: FloatArray | None) -> tuple[float, FloatArray]:
-                unknowns, _, forces = self._fitted[index].solve(penalties, forces)
+                unknowns, _, forces = self._fitted[index].solve(penalties, forces, is_rough=True)
                 return self._unseen_misfit(self._unseen[index], unknowns), forces
 
             # The active bounds are nearly those of similar weights, and the same in all folds.
@@ -215,7 +215,7 @@ class _Trials:
     def forces(self, penalties: Penalties) -> FloatArray:
         """Return the multipliers of the bounds for all samples."""
         self.misfits(penalties)
-        return self._whole.solve(penalties, self._forces[penalties][0])[2]
+        return self._whole.solve(penalties, self._forces[penalties][0], is_rough=True)[2]
 
     def nothing_more_predicts(self, penalties: Penalties) -> bool:
         """Return whether a line, or the given hysteresis alone, predicts as well as a density."""

@@ -118,9 +118,9 @@ def test_folds_are_fitted_side_by_side_and_choose_the_same(measured_um, monkeypa
     segment = HysteresisSegment(VOLTAGE_V, measured_um, np.arange(size), np.empty((size, 0)))
     solve, threads, choices = Equations.solve, [], []
 
-    def noted(*arguments):
+    def noted(*arguments, **options):
         threads[-1].add(threading.get_ident())
-        return solve(*arguments)
+        return solve(*arguments, **options)
 
     monkeypatch.setattr(Equations, "solve", noted)
     for cores in (1, 2):
