@@ -69,10 +69,10 @@ def outputs_in_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: Float
     """
     if at.size >= FEWEST and at.size > MANY * samples.size:
         # The outputs do not depend on the samples after them.
-        whole = np.concatenate([samples, np.zeros(-samples.size % LENGTH)])
-        every = np.empty((len(c), whole.size))
+        padded = np.concatenate([samples, np.zeros(-samples.size % LENGTH)])
+        every = np.empty((len(c), padded.size))
         for own, own_direct, output in zip(c, direct, every, strict=True):
-            run_blocks(a, b, own, own_direct, whole, state.copy(), output)
+            run_blocks(a, b, own, own_direct, padded, state.copy(), output)
         return np.ascontiguousarray(every.T[at])
     gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
     answers, latest_first = np.empty((at.size, len(c))), np.ascontiguousarray(impulse[:, ::-1])
