@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.row_alignment import (
@@ -22,7 +23,7 @@ from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
-from piezo_identification.estimators.estimate import SIGNIFICANT, Estimate
+from piezo_identification.estimators.estimate import DECISIVE, SIGNIFICANT, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ANY_ORDER,
@@ -31,6 +32,7 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
+from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_identification.fitting.whole_model import BEFORE_DELAY
 from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
@@ -39,6 +41,9 @@ from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
+
+END_OF_HOLD = 1.0
+"""Instant at the end of the hold of a voltage, in sample periods."""
 
 NEAR_THE_END = 0.25
 """Distance from the end of the hold, in sample periods, within which rows count as read there."""
@@ -83,6 +88,11 @@ class LinearDynamics:
     """Standard deviations of the parameters of all effects that `all_effects` returns."""
 
     @property
+    def shared_reading(self) -> float:
+        """The instant of the dynamics' rows within their hold, which slower rows may share."""
+        return min(self.read_at_samples, END_OF_HOLD)
+
+    @property
     def all_effects(self) -> tuple[Effect, ...]:
         """Effects of the model, in the order of the signal."""
         delay = (Delay(self.delay_s),) if self.delay_s else ()
@@ -121,7 +131,7 @@ class LinearDynamics:
             if by_s < min(SIGNIFICANT * delay.standard_deviation_s,
                           NEAR_THE_END * delay.sample_period_s):
                 # The logger is then most likely to read at the end of the hold.
-                read_at = 1.0
+                read_at = END_OF_HOLD
             if delay_s:
                 before = sum(effect.place in BEFORE_DELAY for effect in estimate.effects)
                 deviations.insert(before, {"delay_s": delay.standard_deviation_s})
@@ -249,7 +259,7 @@ def creep_of(
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in recordings]
         estimate = _creep_of_aligned(
             aligned, found, is_dynamics_known, pair_count, highest_rad_per_s)
-        is_alike = read_at == found.read_at_samples
+        is_alike = read_at == found.shared_reading
         tried.append((
             estimate.residual_rms / (1.0 if is_alike else CLEARLY_LESS), estimate, read_at))
     return min(tried, key=lambda entry: entry[0])[1:]
@@ -259,7 +269,8 @@ def _creep_readings(recordings: Sequence[Recording], found: LinearDynamics) -> s
     """Return the instant that the jumps of all recordings agree on, otherwise those to try."""
     at_jumps = [] if found.dynamics.is_static else [reading_at_jumps(each) for each in recordings]
     clear = {each for each in at_jumps if each is not None}
-    return clear if len(clear) == 1 and None not in at_jumps else {found.read_at_samples, 0.0}
+    return clear if len(clear) == 1 and None not in at_jumps else {
+        found.shared_reading, found.read_at_samples, 0.0}
 
 
 def _creep_of_aligned(
@@ -282,17 +293,21 @@ def loop_readings(hysteresis: Sequence[Recording], found: LinearDynamics) -> set
     rest. Jumps and points are not used until there are dynamics: a model without them responds
     immediately, and does not distinguish the two ends of the hold.
     """
-    readings = {0.0, *(read_as(each, found.read_at_samples) for each in hysteresis)}
+    readings = {0.0, *(read_as(each, read_at) for each in hysteresis
+                       for read_at in (found.shared_reading, found.read_at_samples))}
     if found.dynamics.is_static:
         return readings
     readings |= {reading_at_jumps(each) or 0.0 for each in hysteresis}
-    return readings | {read_as(each, 1.0) for each in hysteresis if is_point_by_point(each)}
+    return readings | {read_as(each, END_OF_HOLD) for each in hysteresis if is_point_by_point(each)}
 
 
 def aligned_density(
     hysteresis: Sequence[Recording], found: LinearDynamics, before: DensityEstimate | None = None,
 ) -> tuple[DensityEstimate, float]:
     """Estimate the density, with its recordings read at the instant that fits them best.
+
+    They are read with their voltage unless the evidence for another instant is decisive: the errors
+    of a wrong model do not show when rows are read.
 
     Parameters
     ----------
@@ -316,12 +331,19 @@ def aligned_density(
     if len(tried) == 1:
         return tried[0][:2]
 
-    def error_um(entry: tuple[DensityEstimate, float, list[Recording]]) -> float:
+    def errors_um(entry: tuple[DensityEstimate, float, list[Recording]]) -> list[FloatArray]:
         model = StageModel(entry[0].model(), found.creep, found.dynamics,
                            effects=found.all_effects)
-        return sum(after_saturation(model, each).error_um() for each in entry[2])
+        runs = [after_saturation(model, each) for each in entry[2]]
+        return [run.without_initial_motion(run.measured_um - run.simulate()) for run in runs]
 
-    return min(tried, key=error_um)[:2]
+    errors = list(map(errors_um, tried))
+    at_once = next(index for index, entry in enumerate(tried) if entry[1] == 0.0)
+    counts = [independent_errors(each) for each in errors[at_once]]
+    evidence = np.array([
+        log_evidence([np.mean(each**2) for each in of_entry], 0, counts) for of_entry in errors])
+    best = int(np.argmax(evidence))
+    return tried[best if evidence[best] > evidence[at_once] + DECISIVE else at_once][:2]
 
 
 def _from_response(
