@@ -265,6 +265,14 @@ class WholeModel:
             found = min(found, after(before.past_v), key=lambda part: part.error_um(rows))
         return found.with_model(replace(model, effects=()))
 
+    def read_with_voltage(self, index: int) -> "WholeModel":
+        """Return the problem with a recording whose rows are read with their voltage."""
+        problem, simulated = copy(self), list(self._dataset.simulated)
+        problem.about_here()
+        simulated[index] = simulated[index].read_at(0.0)
+        problem._dataset = replace(self._dataset, simulated=tuple(simulated))
+        return problem
+
     def with_held_out_rows(self, fit: WholeFit) -> "WholeModel":
         """Return the problem about a fit with all rows, once no structure is chosen any more.
 

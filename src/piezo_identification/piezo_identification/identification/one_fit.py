@@ -69,12 +69,18 @@ class _State:
     best: WholeFit
     problem: WholeModel
 
+    read_late_s: Mapping[str, float]
+    """Time by which each recording reads its rows after the voltage, without a negative delay."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Search:
     """The search for the best model from several starts, and all fits made in it."""
 
     problem: WholeModel
+    names: Sequence[str]
+    """Names of the recordings of the problem."""
+
     given: FittedModel
     read_late_s: Mapping[str, float]
     new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
@@ -90,7 +96,8 @@ class _Search:
         renewed = list[DensityEstimate]()
 
         def with_new_loops(start: Structure) -> WholeModel:
-            renewed.append(self._newly_estimated(self.problem.fit(start.model, start.delay_s, 0)))
+            renewed.append(self._newly_estimated(
+                self.problem.fit(start.model, start.delay_s, 0), self.read_late_s))
             return self.problem.with_hysteresis(
                 replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
 
@@ -100,10 +107,11 @@ class _Search:
         self.tried.extend(tried)
         length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
-            self.given, visited=renewed[0].visited), fit, problem) for problem, fit in promising]
+            self.given, visited=renewed[0].visited), fit, problem, self.read_late_s)
+            for problem, fit in promising]
         if rival is not None and not is_promising(states[0].best, rival):
             return states[0]
-        first = self._with_renewed_loops(states[0], BEGUN)
+        first = self._read_with_voltage(self._with_renewed_loops(states[0], BEGUN), BEGUN)
         drifting = self._with_bouc_wen(first, BEGUN)
         # A search behind loops of the wrong kind would describe them by dynamics.
         is_drifting = is_better(drifting.best, first.best)
@@ -188,7 +196,28 @@ class _Search:
             problem, best, tried = fitted_with_bouc_wen(state.problem, state.best)
             self.tried.extend(tried)
             if problem.is_possible(best):
-                return _State(self._given_with_line(problem), best, problem)
+                return replace(
+                    state, fitted=self._given_with_line(problem), best=best, problem=problem)
+        return state
+
+    def _read_with_voltage(self, state: _State, fraction: float) -> _State:
+        """Return a state, or a better one in which a recording reads its rows with their voltage.
+
+        The separate steps found when rows are read beside dynamics that may have been wrong.
+        """
+        for index, name in enumerate(self.names):
+            if not state.read_late_s[name] or is_at_noise(state.problem, state.best):
+                continue
+            with while_time_lasts("rows that are read with their voltage"):
+                check_cancelled()
+                change = f"rows of the {name} read with their voltage"
+                self.report(change, fraction)
+                problem = state.problem.read_with_voltage(index)
+                fit = problem.again(state.best, SETTINGS.steps)
+                self.tried.append((change, fit))
+                state = _better(self._with_renewed_loops(replace(
+                    state, best=fit, problem=problem,
+                    read_late_s={**state.read_late_s, name: 0.0}), fraction), state)
         return state
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
@@ -219,18 +248,20 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._newly_estimated(before.best)
+            density = self._newly_estimated(before.best, before.read_late_s)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
             self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
-                return _State(replace(before.fitted, visited=density.visited), again, problem)
+                return replace(before, fitted=replace(before.fitted, visited=density.visited),
+                               best=again, problem=problem)
         return before
 
-    def _newly_estimated(self, fit: WholeFit) -> DensityEstimate:
+    def _newly_estimated(self, fit: WholeFit,
+                         read_late_s: Mapping[str, float]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(fit.delayed_model, read_later(self.read_late_s, fit))
+        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -296,11 +327,11 @@ def fitted_together(
         note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)
     search = _Search(
-        problem, fitted, read_late_s, new_loops, partial(_has_order, order), report)
+        problem, list(parts), fitted, read_late_s, new_loops, partial(_has_order, order), report)
     state = search.with_held_out_rows(search.best(delay_s or None))
     best = state.best
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s
-                       for name, late_s in read_later(read_late_s, best).items()}
+                       for name, late_s in read_later(state.read_late_s, best).items()}
     latest = max(read_at_samples, key=lambda name: read_at_samples[name])
     if read_at_samples[latest] > LATEST_READING:
         note(f"the model is that of the separate steps, as the fit of the whole model would read "
