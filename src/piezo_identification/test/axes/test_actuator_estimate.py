@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.axes.actuator_estimate import estimate_actuators, fitted_alone
+from piezo_identification.estimators.creep import slow_creep
 from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.cascade import StageModel
@@ -55,7 +56,7 @@ def test_loops_that_close_stay_preisach_loops():
     assert found.creep.poles_rad_per_s == pytest.approx((0.8,), rel=0.2)
 
 
-def test_where_no_loops_are_shown_there_is_no_hysteresis():
+def test_where_no_loops_are_shown_there_is_no_hysteresis(monkeypatch):
     rate = 2.0 * np.pi * 60.0
     mode = control.tf(GAIN_UM_PER_V * rate**2, [1.0, 0.1 * rate, rate**2])
     model = CoupledModel.from_control(
@@ -66,6 +67,7 @@ def test_where_no_loops_are_shown_there_is_no_hysteresis():
     moved_um = model.simulate(voltage_v)
     loops = AxesRecording("loops", ("x", "y"), PERIOD_S / 4.0, voltage_v,
                           moved_um + NOISE_UM * rng.normal(size=voltage_v.shape))
+    monkeypatch.setattr(slow_creep, "CELLS", 8)
     actuators, _ = estimate_actuators(model, [loops], [loops], 6)
     assert not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators)
 

@@ -101,8 +101,8 @@ def test_a_density_about_plays_keeps_what_narrow_plays_add_to_whole_cells():
     loops, truth_um = slice(3, None), np.array(output_um)
     noise_um = 4e-5 * np.ptp(truth_um) * np.random.default_rng(0).standard_normal(1000)
     density = density_of_segments(
-        [segment(voltage_v[loops], truth_um[loops] + noise_um)], np.linspace(0.0, 100.0, 41))
-    assert density.plays is not None and len(density.visited) > 40
+        [segment(voltage_v[loops], truth_um[loops] + noise_um)], np.linspace(0.0, 100.0, 31))
+    assert density.plays is not None and len(density.visited) > 30
     error_um = (density.model().simulate(voltage_v) - truth_um)[loops]
     assert np.std(error_um) < np.std(noise_um)
 
