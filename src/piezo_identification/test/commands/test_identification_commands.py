@@ -188,7 +188,7 @@ def test_identify_takes_the_dynamics_from_a_frequency_response(
     assert identified.uncertainties["dynamics"]["time_constant_s"] > 0.0
     assert identified.sample_periods_s.keys() == {"creep", "hysteresis"}
     # The validation has no such delay; the slow part hardly feels it.
-    assert identified.errors["hysteresis_e_y_percent"] < 0.2
+    assert identified.errors["hysteresis_e_y_percent"] < 0.3
 
 
 def test_identify_takes_the_orders_of_a_frequency_response_and_its_band(

@@ -15,7 +15,7 @@ from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import read_recording
 
 # Which of them is best is not asked here, and takes most of an identification.
-ASKED = {"order": ResponseOrder(0, 2, 0), "density": DensityOptions(20, 1e-10, 1e-10)}
+ASKED = {"order": ResponseOrder(None, 2, 0), "density": DensityOptions(20, 1e-10, 1e-10)}
 
 
 @pytest.fixture(scope="module")

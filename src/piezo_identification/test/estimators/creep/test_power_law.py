@@ -11,7 +11,7 @@ from piezo_identification.estimators.creep.square_wave_creep import estimate_cre
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 from piezo_recorder import recording_of
 
-PERIOD_S, HELD, NOISE_UM, EXPONENT, PART = 0.04, 700, 0.002, 0.12, 0.05
+PERIOD_S, HELD, NOISE_UM, EXPONENT, PART = 0.04, 1000, 0.002, 0.12, 0.05
 LEVELS_V = (20.0, 80.0, 20.0, 80.0, 20.0)
 MODE_RAD_PER_S = 3000.0
 
