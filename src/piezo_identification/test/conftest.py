@@ -6,6 +6,8 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.conditioning.waveforms import played
+from piezo_identification.fitting import structure_search
+from piezo_identification.identification import one_fit
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -39,6 +41,19 @@ def plant():
 def noise():
     """Draw white noise of unit variance."""
     return np.random.default_rng(3).normal(size=40_000)
+
+
+@pytest.fixture(scope="module")
+def without_search():
+    """Fit the model of the separate steps, and no other structure: for tests of what surrounds it.
+
+    From its first use to the end of the module.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(one_fit, "searched", lambda problem, best, *_: (best, []))
+        for module in (one_fit, structure_search):
+            patch.setattr(module, "is_at_noise", lambda *_: True)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import re
 from contextlib import redirect_stdout
+from functools import partial, partialmethod
 from hashlib import sha256
 from importlib.resources import files
 from io import StringIO
@@ -12,6 +13,8 @@ from piezo_common.command_line import Command
 from piezo_controller.commands import design_work
 from piezo_controller.commands.design_command import main
 from piezo_controller.feedback.controller_file import load_controller
+from piezo_controller.feedback.robustness import PlantErrors
+from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
 from piezo_controller.feedback.synthesis.weights import WeightsError, load_weights
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import save_model
@@ -28,14 +31,18 @@ def model_path(stage_model, tmp_path_factory):
 def designed(model_path, tmp_path_factory, picture_faults, short_search):
     """Run the command; return the path of its controller, and what it prints."""
     output = tmp_path_factory.mktemp("designed") / "controller.json"
-    with redirect_stdout(StringIO()) as printed:
+    with redirect_stdout(StringIO()) as printed, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(PlantErrors, "robustness", partialmethod(PlantErrors.robustness, samples=20))
+        patch.setattr(design_work, "DRAWN", 10)
         faults = picture_faults(main, ["--model", str(model_path), "--output", str(output)])
     assert faults == []
     return output, printed.getvalue()
 
 
 @pytest.mark.usefixtures("without_pictures")
-def test_a_feedback_by_its_name_is_written_with_what_it_is_worth(model_path, tmp_path, capsys):
+def test_a_feedback_by_its_name_is_written_with_what_it_is_worth(
+        model_path, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(design_work, "feedback_at_margin", partial(feedback_at_margin, effort=0.05))
     output = tmp_path / "pi.json"
     assert main(["--model", str(model_path), "--feedback", "pi", "--output", str(output),
                  "--no-report"]) == 0
@@ -68,7 +75,7 @@ def test_command_writes_the_controller_and_pictures_and_prints_the_report(
     assert re.search(r"^sample clock of the stage +40000 Hz; --rate takes another one$", printed,
                      re.M)
     assert "1000 Hz, 40 samples a tick; by (5.10) " in printed
-    assert "200 of 200 drawn" in printed
+    assert "20 of 20 drawn" in printed
     assert printed.splitlines()[-1] == (
         f"next: ./run piezo_client stage track --model {model_path} --controller {output} "
         "--output runs")
@@ -104,16 +111,22 @@ def _assert_the_pictures_hold_the_margins(page, report):
 
 @pytest.mark.parametrize("method", ["pid", pytest.param("pi", marks=pytest.mark.long)])
 @pytest.mark.usefixtures("without_pictures", "few_draws")
-def test_other_methods_need_no_weights_and_have_no_picture_of_them(model_path, tmp_path, method,
-                                                                   capsys):
+def test_other_methods_need_no_weights_and_have_no_picture_of_them_at_another_clock(
+        model_path, tmp_path, method, capsys):
     output = tmp_path / "controller.json"
-    assert main(["--model", str(model_path), "--method", method, "--output", str(output),
-                 "--no-report"]) == 0
+    arguments = ["--model", str(model_path), "--output", str(output), "--no-report"]
+    assert main([*arguments, "--method", method, "--rate", "20000"]) == 0
     controller = load_controller(output)
     assert (controller.report["method"], controller.weights) == (method, {})
     assert {path.name for path in tmp_path.glob("*.png")} == {
         "controller_bode.png", "controller_nyquist.png"}
-    assert "ultimate gain" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "ultimate gain" in printed
+    assert "20000 Hz; --rate takes another one" in printed
+    assert "1000 Hz, 20 samples a tick; by (5.10) " in printed
+    assert controller.sample_period_s == pytest.approx(1e-3)
+    assert main([*arguments, "--rate", "0"]) == 2
+    assert "--rate is 0: give a positive number" in capsys.readouterr().err
 
 
 def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
@@ -132,19 +145,6 @@ def test_options_reach_the_design(model_path, tmp_path, monkeypatch):
     assert main(["--model", str(model_path), "--weights", str(weights_path),
                  "--delay-ticks", "0", "--output", str(output)]) == 2
     assert asked == [(weights, 0)]
-
-
-@pytest.mark.usefixtures("without_pictures", "few_draws")
-def test_clock_of_another_stage_gives_the_same_feedback_rate(model_path, tmp_path, capsys):
-    output = tmp_path / "controller.json"
-    arguments = ["--model", str(model_path), "--output", str(output), "--no-report"]
-    assert main([*arguments, "--method", "pi", "--rate", "20000"]) == 0
-    printed = capsys.readouterr().out
-    assert "20000 Hz; --rate takes another one" in printed
-    assert "1000 Hz, 20 samples a tick; by (5.10) " in printed
-    assert load_controller(output).sample_period_s == pytest.approx(1e-3)
-    assert main([*arguments, "--rate", "0"]) == 2
-    assert "--rate is 0: give a positive number" in capsys.readouterr().err
 
 
 def test_bad_input_ends_with_status_2_and_one_line(model_path, tmp_path, capsys):

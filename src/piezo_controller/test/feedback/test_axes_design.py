@@ -70,6 +70,7 @@ def controller_of(law, model):
     return np.diag(gains_um_per_v) * control.ss(*law.tick.matrices, TICK_S)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_law_closes_a_stable_loop_of_all_axes_at_every_gain(law, model):
     assert gain_spreads(model) == pytest.approx([0.04, 0.04], abs=0.03)
     assert law.plant.gains_um_per_v.shape == (9, 2)
@@ -91,7 +92,8 @@ def test_report_has_the_measures_of_the_sensitivity(law, model):
     assert set(report["bandwidth_hz_of_axis"]) == {"x", "y"}
 
 
-@pytest.mark.parametrize("turn", [[1, 1], [1, -1], [-1, -1]])
+@pytest.mark.parametrize("turn", [
+    [1, -1], *(pytest.param(turn, marks=pytest.mark.long) for turn in ([1, 1], [-1, -1]))])
 def test_margins_hold_for_gains_and_phases_that_change_independently(law, model, turn):
     plant, controller = scaled_plant(model, TICK_S)[0], controller_of(law, model)
     report = measure_axes_loop(plant, controller, model.axes)

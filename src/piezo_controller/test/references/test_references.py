@@ -143,8 +143,8 @@ def test_random_reference_keeps_its_band_and_its_amplitude():
 
 def test_random_reference_has_no_period():
     one = trajectory(Reference("random", (500.0,), (30.0,), (), 0.0, seed=2))
-    pieces = [one.sample(minute * 2_400_000, 40_000) for minute in range(60)]
-    correlated = np.corrcoef(pieces) - np.eye(60)
+    pieces = [one.sample(minute * 2_400_000, 40_000) for minute in range(20)]
+    correlated = np.corrcoef(pieces) - np.eye(20)
     assert np.abs(correlated).max() < 0.2
     assert np.std([np.std(piece) for piece in pieces]) < 0.15 * np.std(pieces)
 

@@ -29,7 +29,8 @@ def errors_um(seed):
     return error_um
 
 
-@pytest.mark.parametrize("block", [1, 40, 130, 2000, 20_000])
+@pytest.mark.parametrize("block", [
+    pytest.param(1, marks=pytest.mark.long), 40, 130, 2000, 20_000])
 def test_moment_does_not_depend_on_the_blocks(block):
     told = []
     for seed in range(8):

@@ -23,7 +23,7 @@ LIGHT = np.exp(PERIOD_S * np.array([-6.0 + 1900.0j, -9.0 + 2800.0j]))
 """Of the modes of a stage whose errors are almost all at its resonances."""
 
 
-def fast_v(seed, samples=1500):
+def fast_v(seed, samples=1000):
     rng = np.random.default_rng(seed)
     voltage_v = 50.0 + 20.0 * np.column_stack([
         np.sin(np.cumsum(rng.uniform(0.0, 1.5, samples))) for _ in range(2)])

@@ -35,7 +35,8 @@ def few_levels():
 
 @pytest.fixture(scope="module")
 def identified():
-    tables = scanner.experiments(np.random.default_rng(1), samples=3072)
+    tables = scanner.experiments(np.random.default_rng(1), samples=3072,
+                                 loop_samples=12_000, step_samples=60_000)
     return identify_several_axes(**{
         experiment: [flexure.recording(table, f"{experiment} {number}")
                      for number, table in enumerate(listed)]
@@ -94,6 +95,7 @@ def test_the_creep_of_each_axis_is_found(identified):
         np.testing.assert_allclose(found, true, rtol=0.1)
 
 
+@pytest.mark.long
 def test_where_no_hysteresis_is_shown_none_is_added():
     rng = np.random.default_rng(3)
     loops = flexure.recording(

@@ -30,7 +30,7 @@ def fitted():
 
 @pytest.fixture(scope="module")
 def identified(fitted):
-    return identify_several_axes(fitted)
+    return identify_several_axes(fitted, pairs=4)
 
 
 def test_levels_are_told_apart_by_their_amplitude(fitted):

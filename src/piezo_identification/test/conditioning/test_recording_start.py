@@ -91,7 +91,7 @@ def test_a_square_wave_ends_where_a_slow_ramp_begins(recorded):
     pytest.param(1, id="end of hold", marks=pytest.mark.long)])
 def test_steps_between_three_levels_are_no_square_wave_of_one_step(
         independent_stage, recorded, late):
-    voltage_v = np.repeat([50.0, 90.0, 10.0, 50.0], [100, 2400, 2400, 2400])
+    voltage_v = np.repeat([50.0, 90.0, 10.0, 50.0], [100, 1600, 1600, 1600])
     # This stage shows in each row what its voltage has done.
     displacement_um = independent_stage().displacement_um(voltage_v, 0.05)
     if late == 0:

@@ -45,7 +45,7 @@ MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.5)
 @pytest.fixture(scope="module")
 def record(plant, play):
     def record_with(*effects, seed=1, **options):
-        experiment = experiments.validation(arc_s=0.02, tones_s=0.1)
+        experiment = experiments.validation(arc_s=0.015, tones_s=0.06)
         return play(experiment, seed, stage=replace(plant, effects=effects), **options)
 
     return record_with

@@ -148,6 +148,7 @@ def loops(samples=4000):
     return voltage_v, displacement_um
 
 
+@pytest.mark.usefixtures("without_search")
 def test_drop_outs_change_neither_model_nor_errors(save, tmp_path, capsys):
     voltage_v, displacement_um = loops()
     clean_um = with_noise(displacement_um)

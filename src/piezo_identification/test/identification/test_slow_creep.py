@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from piezo_identification.estimators.creep import slow_creep
 from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.identification.linear_dynamics import estimate_linear_dynamics
@@ -31,6 +32,14 @@ def error_of(creep, stage):
     """Largest relative error of the response but for a common gain."""
     ratio = creep.response(FREQUENCY_HZ) / stage.creep_response(FREQUENCY_HZ)
     return np.abs(ratio / ratio[-1] - 1.0).max()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_cells():
+    """The loops of this stage may be followed by cells that are twice as wide."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(slow_creep, "CELLS", 16)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -61,7 +61,7 @@ def test_the_uncertainty_is_that_of_densities_which_the_loop_cannot_tell_apart(o
     """Densities with the same major loop: rows of the plane exchange mass between columns."""
     random, outputs = np.random.default_rng(1), []
     truth = one_loop.model.hysteresis
-    for _ in range(60):
+    for _ in range(20):
         density = TRUE_DENSITY.copy()
         # Moved around rectangles, so that each row and each column keeps its sum.
         rows = np.sort(random.integers(1, CELLS, (1500, 2))).tolist()

@@ -41,7 +41,7 @@ def force(parts, y):
 
 @pytest.mark.parametrize("parts", SPRINGS.values(), ids=SPRINGS)
 def test_at_rest_the_displacement_is_the_root_of_the_springs_equation(parts):
-    load_um = np.linspace(-80.0, 80.0, 401)
+    load_um = np.linspace(-80.0, 80.0, 101)
     found = spring(parts).apply(load_um, 1e-3)
     roots = [brentq(lambda y, x=x: y + force(parts, y) - x, -1e4, 1e4, xtol=1e-13, rtol=1e-15)
              for x in load_um]
@@ -82,7 +82,7 @@ def errors_in_motion(parts, drive, w, time_s, viscous):
 @pytest.mark.parametrize("viscous", [
     0.2, *(pytest.param(viscous, marks=pytest.mark.long) for viscous in (0.0, -0.06))])
 @pytest.mark.parametrize(("phase", "samples", "tolerance"), [
-    (0.72, 300, 5e-3), (0.05, 1500, 1e-4)])
+    (0.72, 150, 5e-3), (0.05, 1000, 1e-4)])
 def test_in_motion_it_is_the_solution_of_the_equation_of_motion(
         phase, samples, tolerance, viscous):
     """A force three times that of the linear spring, on coarse samples and on fine ones."""
@@ -104,7 +104,7 @@ def test_noise_up_to_a_third_of_the_sample_rate_is_followed_between_the_samples(
     errors_um, expected_um, linear_um = errors_in_motion(
         (0.0, 0.0, 2.0, 0.0),
         lambda t: 0.8 * np.tanh(t / begun) ** 4 * np.sum(np.sin(rates * t + phases)),
-        w, np.arange(400) * period_s, 0.1)
+        w, np.arange(250) * period_s, 0.1)
     assert np.std(linear_um - expected_um) > 0.1 * np.std(expected_um)
     assert np.std(errors_um) < 5e-3 * np.std(expected_um)
 

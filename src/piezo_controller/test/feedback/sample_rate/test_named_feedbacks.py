@@ -42,7 +42,7 @@ def designed(light):
 
 
 def test_all_have_the_same_margin_and_damping_beats_pi(light, designed):
-    plants = PerturbedLoops(light, ERRORS, PERIOD_S, (FREQUENCY_HZ,), delay_ticks=0).plants[::8]
+    plants = PerturbedLoops(light, ERRORS, PERIOD_S, (FREQUENCY_HZ,), delay_ticks=0).plants[::16]
     points = np.exp(2j * np.pi * PERIOD_S * np.geomspace(1.0, 19_000.0, 2_500))
     for controller in designed.values():
         response = controller.state_space()(points, squeeze=True)

@@ -19,7 +19,7 @@ from piezo_identification.fitting.regression import (
 
 @pytest.fixture(scope="module")
 def recorded(plant, play):
-    return play(experiments.validation(arc_s=0.02, tones_s=0.1), 1)
+    return play(experiments.validation(arc_s=0.02, tones_s=0.08), 1)
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 2000, 2e-3
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 1500, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
 OTHER_MODE = (250.0, 0.02, 0.02)
 

@@ -18,7 +18,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 3000, 1e-3, 0.5
+PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 2000, 1e-3, 0.5
 MODE_RAD_PER_S, DAMPING_RATIO, CUBIC_PER_UM2 = 300.0, 0.05, 1e-4
 FADED_IN_S = 0.3
 LINES_HZ = np.arange(2.0, 120.0, 1.0)

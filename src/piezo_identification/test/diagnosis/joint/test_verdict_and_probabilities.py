@@ -23,7 +23,7 @@ from piezo_recorder.sample_block import Flag
 
 pytestmark = pytest.mark.usefixtures("without_ceiling")
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 2400, 2e-3
+PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 1800, 2e-3
 MODE = (400.0, 0.1)
 MODEL = StageModel(
     PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),

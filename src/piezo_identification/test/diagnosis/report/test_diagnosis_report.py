@@ -18,7 +18,7 @@ MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.05)
 
 @pytest.fixture(scope="module")
 def diagnosis(plant, play):
-    experiment = experiments.validation(arc_s=0.02, tones_s=0.1)
+    experiment = experiments.validation(arc_s=0.015, tones_s=0.06)
     return diagnose(plant, [play(experiment, 1, stage=replace(plant, effects=(MODE,)))])
 
 

@@ -19,7 +19,8 @@ from piezo_models.linear.dynamics import (
 @pytest.mark.parametrize("seed", [
     1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3, 4, 5))])
 def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
-    estimate = estimate_dynamics(play(experiments.dynamics(), seed), plant.creep).model
+    recording = play(experiments.dynamics(duration_s=1.0), seed)
+    estimate = estimate_dynamics(recording, plant.creep).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-3)
     assert estimate.mode_frequencies_rad_per_s[0] == pytest.approx(2846.0, rel=5e-4)
     assert estimate.mode_frequencies_rad_per_s[1] == pytest.approx(4909.0, rel=1e-4)
@@ -31,7 +32,8 @@ def test_time_constant_and_modes_are_recovered_through_noise(plant, play, seed):
 def test_creep_left_from_before_does_not_disturb(plant, play):
     memory = plant.memory()
     plant.simulate(np.full(40_000, 120.0), 1e-3, memory)
-    recording = play(experiments.dynamics(), memory=memory, noise_um=0.0)
+    recording = play(
+        experiments.dynamics(duration_s=0.5), memory=memory, noise_um=0.0)
     estimate = estimate_dynamics(recording, plant.creep, 2).model
     assert estimate.time_constant_s == pytest.approx(0.00049, rel=1e-5)
     assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
@@ -44,7 +46,8 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
                  marks=pytest.mark.long),
 ])
 def test_the_number_of_modes_is_that_of_the_plant(plant, play, truth):
-    recording = play(experiments.dynamics(), 1, stage=replace(plant, dynamics=truth))
+    recording = play(
+        experiments.dynamics(duration_s=0.8), 1, stage=replace(plant, dynamics=truth))
     estimate = estimate_dynamics(recording, plant.creep).model
     assert estimate.time_constant_s == pytest.approx(truth.time_constant_s, rel=2e-3)
     assert estimate.mode_frequencies_rad_per_s == pytest.approx(
@@ -60,7 +63,8 @@ def test_the_number_of_modes_is_that_of_the_plant(plant, play, truth):
         marks=pytest.mark.long),
 ])
 def test_modes_that_move_side_by_side_are_found_with_their_antiresonances(plant, play, truth):
-    recording = play(experiments.dynamics(), 1, stage=replace(plant, dynamics=truth))
+    recording = play(
+        experiments.dynamics(duration_s=0.8), 1, stage=replace(plant, dynamics=truth))
     estimate = estimate_dynamics(recording, plant.creep)
     assert str(estimate.order) == f"{len(truth.damping_ratios)}-{len(truth.damping_ratios) - 1}"
     frequency_hz = np.geomspace(10.0, 1500.0, 200)

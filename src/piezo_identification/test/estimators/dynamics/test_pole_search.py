@@ -31,7 +31,8 @@ def record():
                       np.ones((rows.size, 1)))
 
 
-@pytest.mark.parametrize("most_rows", [pytest.param(COUNT, marks=pytest.mark.long), 2000])
+@pytest.mark.long
+@pytest.mark.parametrize("most_rows", [COUNT, 2000])
 def test_a_mode_is_found_however_few_rows_are_fitted(most_rows):
     """The rows of every sixth sample show no frequency above 833 Hz / 2, this one at 742 Hz."""
     fits = list(free_fits(record().thinned(most_rows), 8))

@@ -92,17 +92,17 @@ def test_a_density_about_plays_keeps_what_narrow_plays_add_to_whole_cells():
     half_widths_v = 2.0 * np.arange(8)
     weights = np.append(0.07, np.full(7, 0.004))
     turns_v = np.ravel([(5.0 * level, 0.0) for level in range(1, 21)])
-    voltage_v = np.concatenate([[0.0, 100.0, 0.0], loops_v([0.0, *turns_v], 2000)])
+    voltage_v = np.concatenate([[0.0, 100.0, 0.0], loops_v([0.0, *turns_v], 1000)])
     curve = voltage_v + 0.3 * (voltage_v - 50.0) ** 3 / 50.0**2
     states, output_um = np.zeros(8), []
     for value in curve:
         states = np.maximum(value - half_widths_v, np.minimum(value + half_widths_v, states))
         output_um.append(weights @ states)
     loops, truth_um = slice(3, None), np.array(output_um)
-    noise_um = 4e-5 * np.ptp(truth_um) * np.random.default_rng(0).standard_normal(2000)
+    noise_um = 4e-5 * np.ptp(truth_um) * np.random.default_rng(0).standard_normal(1000)
     density = density_of_segments(
-        [segment(voltage_v[loops], truth_um[loops] + noise_um)], np.linspace(0.0, 100.0, 41))
-    assert density.plays is not None and len(density.visited) > 40
+        [segment(voltage_v[loops], truth_um[loops] + noise_um)], np.linspace(0.0, 100.0, 31))
+    assert density.plays is not None and len(density.visited) > 30
     error_um = (density.model().simulate(voltage_v) - truth_um)[loops]
     assert np.std(error_um) < np.std(noise_um)
 

@@ -70,7 +70,7 @@ def estimate_of(output_um, **options):
 def test_the_chosen_smoothing_predicts_about_as_well_as_the_best(measured_um, error_of):
     chosen = estimate_of(measured_um)
     errors = [error_of(estimate_of(measured_um, smoothing_weight=10.0**-power))
-              for power in (11, 12, 14)]
+              for power in (11, 14)]
     assert error_of(chosen) < 1.2 * min(errors)
     # The choice matters.
     assert max(errors) > 1.3 * min(errors)
