@@ -148,7 +148,8 @@ def estimate_dynamics(
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(given, parts, strict=True)]
         return fit_with_fast_creep(
-            lambda known: project_out_slow_error(_record(parts, entering_um, known)),
+            lambda known: project_out_slow_error(replace(
+                _record(parts, entering_um, known), is_driven_by_loops=True)),
             creep, mode_count, delay, among)
     without_hysteresis = _record(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)

@@ -53,6 +53,10 @@ PARALLEL_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
 """Bounds of the damping ratio and participation of parallel modes, as in
 `piezo_models.effects.vibration_mode.VibrationMode`."""
 
+MOST_GAIN = 3.0
+"""Largest factor between the gain at rest and that of the loops. Slow errors of the loops in a fast
+record look like slow relaxations, beside which the modes move nearly nothing."""
+
 COUPLED_SHARE = (-1e3, 1e3)
 """Bounds of the participations of coupled modes, as in `CoupledMode`: they may nearly cancel."""
 
@@ -163,6 +167,8 @@ class FastRecord:
     """Full record, if this one is a thinned copy; by default itself."""
     phase_room: float = 0.0
     """Fraction of a sample period by which the whole input may be earlier or later."""
+    is_driven_by_loops: bool = False
+    """Whether the input is the displacement that known loops predict for slow motion."""
     slowest_rad_per_s: float = 0.0
     """Frequency below which lines of the spectrum are left out."""
     _span: FloatArray = field(init=False, repr=False)
@@ -382,8 +388,19 @@ class FastRecord:
         slopes = _without(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
+    def gain(self, fit: FastFit) -> float:
+        """Return the gain of a fit at rest."""
+        poles, residues = (each[0] for each in poles_and_residues(fit.vector[None], fit.order))
+        response = (self.input.responses(poles, fit.delay, self.kept).value @ residues).real
+        span, target = self._projected_out(poles)
+        response = _without(response[:, None], span)[:, 0]
+        return float(response @ target / (response @ response))
+
     def beyond_record(self, fit: FastFit) -> str:
-        """Return which part of a fit the record cannot show; an empty text if none is."""
+        """Return which part of a fit the record or its loops cannot show; empty if none is."""
+        if (self.every_row or self).is_driven_by_loops and not (
+                1.0 / MOST_GAIN <= self.gain(fit) <= MOST_GAIN):
+            return "a gain that the loops do not have"
         longest = self._bounds(fit.order, fit.vector.size)[1][0]
         if fit.vector[0] > longest - NEIGHBOURS:
             return "a lag as long as the record"

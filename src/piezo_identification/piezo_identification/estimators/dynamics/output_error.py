@@ -145,6 +145,11 @@ class _Search:
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
                 self._try_forms(free)
+            for free in reversed(frees[: max(0, best - 1)]):
+                if self._fits and not min(
+                        self._trials(), key=lambda trial: trial.information).refusal:
+                    break
+                self._try_forms(free)
         if not self._fits:
             self._among = ()
             self._try_forms(frees[best])
