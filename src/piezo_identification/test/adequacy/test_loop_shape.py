@@ -88,6 +88,16 @@ def test_a_turn_on_rising_branches_alone_is_no_butterfly(independent_stage, chec
         check(NESTED_V, bent_um)
 
 
+def test_few_branches_that_ring_raise_a_doubt(independent_stage, check):
+    voltage_v = ways(*([0, 100] * 12), 0)
+    displacement_um = independent_stage().hysteresis_um(voltage_v)
+    rings = (np.arange(voltage_v.size) // 150 == 4)
+    told = check(voltage_v, displacement_um - rings * 30.0 * np.exp(
+        -(((voltage_v - 60.0) / 8.0) ** 2)))
+    assert len(told) == 1
+    assert "on 1 of 24 branches" in told[0] and "on few branches or none" in told[0]
+
+
 def test_clockwise_loops_are_refused_by_name(independent_stage, check):
     displacement_um = independent_stage().hysteresis_um(NESTED_V)
     with pytest.raises(ValueError, match="run through clockwise"):

@@ -62,3 +62,23 @@ def test_what_points_hold_is_found_though_creep_goes_on_while_they_are_held(
     creep, _ = creep_of_partial_fractions(rates, gains)
     found_um = hysteresis_output_um(rows_read_at_start(points, 1.0), creep, FAST)
     np.testing.assert_allclose(found_um[:-1], held_um[1:-2], atol=1e-9)
+
+
+def test_loops_are_read_with_their_voltage_where_wrong_dynamics_tell_nothing(
+        independent_stage, recorded):
+    """Dynamics a thousand times too slow leave micrometres, however the rows are read."""
+    voltage_v = ways(100)
+    displacement_um = independent_stage((), ()).displacement_um(voltage_v, 0.02, past_v=CYCLED_V)
+    loops = recorded("loops", voltage_v, displacement_um, 0.02, 0.004)
+    wrong = LinearDynamics(dynamics=ElectricVibrationDynamics(0.5), read_at_samples=0.1)
+    assert found_readings({"hysteresis": loops}, wrong)["hysteresis"] == 0.0
+
+
+def test_slow_rows_do_not_share_a_reading_behind_their_hold(independent_stage, recorded):
+    found = LinearDynamics(dynamics=FAST, read_at_samples=1.4)
+    voltage_v = ways(200)
+    displacement_um = independent_stage((), ()).displacement_um(voltage_v, 0.02, past_v=CYCLED_V)
+    at_end_um = np.append(displacement_um[0], displacement_um[:-1])
+    loops = recorded("loops", voltage_v, at_end_um, 0.02)
+    assert found.shared_reading == 1.0
+    assert found_readings({"hysteresis": loops}, found)["hysteresis"] == 0.0

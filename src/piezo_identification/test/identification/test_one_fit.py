@@ -40,6 +40,24 @@ def test_rows_that_were_taken_for_late_are_read_with_their_voltage(plant, play):
     assert not fitted.model.effects
 
 
+def test_loops_that_were_taken_for_late_are_read_with_their_voltage(recorded):
+    """The separate steps read rows of 10 ms 4 ms late, which the loops refute."""
+    time_s = 0.01 * np.arange(1500)
+    voltage_v = (5.0 - 5.0 * np.cos(2.0 * np.pi * time_s)) * np.linspace(1.0, 0.3, time_s.size)
+    stage = StageModel(PreisachModel(0.0, 10.0, np.tril(np.full((5, 5), 0.04))), CreepDynamics(),
+                       ElectricVibrationDynamics(3e-3))
+    displacement_um = stage.simulate(voltage_v, 0.01)
+    fast_um = stage.simulate(voltage_v, 1e-3)
+    given = FittedModel(stage, {}, np.ones((5, 5), dtype=bool))
+    fitted, read_at = fitted_together(
+        given, {"hysteresis": recorded("loops", voltage_v, displacement_um, 0.01, 0.01),
+                "dynamics": recorded("fast", voltage_v, fast_um, 1e-3, 0.01)},
+        {"hysteresis": 0.4, "dynamics": 0.0}, None, ANY_ORDER, lambda *_: None, lambda *_: None)
+    assert read_at == {"hysteresis": 0.0, "dynamics": 0.0}
+    np.testing.assert_allclose(
+        fitted.model.simulate(voltage_v, 0.01), displacement_um, atol=0.01)
+
+
 def test_short_stretches_are_fitted_where_an_experiment_has_no_others_alone(plant, recorded):
     rows = {"dynamics": 80, "hysteresis": 4000, "hysteresis 2": 60}
     given = {name: recorded(name, np.arange(count) % 7.0, np.zeros(count), 1e-3)

@@ -2,6 +2,7 @@
 """A hysteresis that is not quite right is not taken for vibrations."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,10 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage
 
 from piezo_identification.estimators.dynamics import fast_creep
+from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
+from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import joined_record
+from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
@@ -51,6 +55,30 @@ def test_a_record_may_hold_slow_motion_where_slow_poles_are_no_vibration(
     give_poles(monkeypatch, (2.0 * np.pi * low_hz, damping), (mode_rad_per_s, 0.02))
     projected = fast_creep.project_out_slow_error(record)
     assert (projected.fixed.shape[1] > record.fixed.shape[1]) == needs_waves
+
+
+def test_dynamics_have_about_the_gain_of_known_loops():
+    record = replace(growing_sine(4000), is_driven_by_loops=True)
+    ringing = record.fit(ModeOrder(1), np.log([1.6e-4, MODE_RAD_PER_S, 0.02]), 0.0)
+    assert record.gain(ringing) == pytest.approx(0.8, rel=0.01)  # um/V of the stage
+    assert record.beyond_record(ringing) == ""
+    tenfold = replace(record, measured_um=10.0 * record.measured_um)
+    assert tenfold.gain(ringing) == pytest.approx(10.0 * record.gain(ringing))
+    assert tenfold.beyond_record(ringing) == "a gain that the loops do not have"
+    assert replace(tenfold, is_driven_by_loops=False).beyond_record(ringing) == ""
+
+
+def test_fewer_modes_are_tried_where_those_of_most_evidence_have_no_such_gain(monkeypatch):
+    record = replace(growing_sine(4000), is_driven_by_loops=True)
+    refused = FastRecord.beyond_record
+
+    def of_few_modes(self, fit):
+        return refused(self, fit) or ("too many" if fit.order.modes + fit.order.parallel else "")
+
+    monkeypatch.setattr(FastRecord, "beyond_record", of_few_modes)
+    estimate = fit_output_error(record)
+    assert (estimate.order.modes, estimate.order.parallel) == (0, 0)
+    assert any(trial.refusal == "too many" for trial in estimate.trials)
 
 
 def test_slow_lines_of_a_long_record_are_left_out(monkeypatch):
