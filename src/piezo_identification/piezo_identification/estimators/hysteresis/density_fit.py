@@ -38,6 +38,9 @@ LEVELS = 70
 FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
+MOST_ROWS = 100_000
+"""Largest number of samples that a density is fitted to: far more than it has cells."""
+
 STANDING_SHARE = 0.5
 """Smallest share of rows with nearly the voltage of the row before for which levels count."""
 
@@ -50,7 +53,7 @@ def estimate_density(
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
     delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
-    most_rows: int | None = None,
+    most_rows: int = MOST_ROWS,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -77,8 +80,8 @@ def estimate_density(
     near : DensityEstimate, optional
         Estimate from the same recordings with nearly the same dynamics, whose weights are the
         starting point of the choice.
-    most_rows : int, optional
-        Number of samples that are fitted, spaced evenly; all by default.
+    most_rows : int
+        Largest number of samples that are fitted, spaced evenly.
 
     Raises
     ------
@@ -110,24 +113,21 @@ def estimate_density(
             path = parts[0].path
             raise ValueError(f"{path}: the displacement falls where the voltage rises: "
                              "reverse the sign of one")
-    if most_rows is not None:
-        every = -(-sum(segment.samples.size for segment in segments) // most_rows)
-        segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
     return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
-                            translation_weight, most_levels, near)
+                            translation_weight, most_levels, near, most_rows)
 
 
 def density_of_parts(
     parts: Sequence[Recording], segments: Sequence[HysteresisSegment],
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    most_levels: int = LEVELS, near: DensityEstimate | None = None,
+    most_levels: int = LEVELS, near: DensityEstimate | None = None, most_rows: int = MOST_ROWS,
 ) -> DensityEstimate:
     """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
     Parameters
     ----------
-    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near
+    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near, most_rows
         As in `estimate_density`.
 
     Raises
@@ -135,6 +135,8 @@ def density_of_parts(
     ValueError
         If the voltage does not change or never returns.
     """
+    every = max(1, -(-sum(segment.samples.size for segment in segments) // most_rows))
+    segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
     lowest_v, highest_v = voltage_range_v(parts)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
