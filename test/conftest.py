@@ -28,7 +28,9 @@ from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_recorder.reading.recording import RecordingError
 from piezo_ros.quality import FEEDBACK, SAMPLES
@@ -455,9 +457,13 @@ def told():
 
 
 @pytest.fixture(scope="session")
-def identification(whole_suite, tmp_path_factory, told):
-    """Of the stage /left, through the whole sequence; by ``make long`` as a user asks for it."""
+def identification(whole_suite, tmp_path_factory, told, plain_model):
+    """Of the stage /left, through the whole sequence; by ``make long`` as a user asks for it.
+
+    It replaces an earlier model.
+    """
     directory, orders = tmp_path_factory.mktemp("identification"), {}
+    save_model(directory / "model.json", IdentifiedModel(plain_model, (-20.0, 120.0)))
     if not os.environ.get("LONG_TESTS"):
         write_short_probe(directory)
         orders = {"creep_pairs": 4, "modes": 2}

@@ -47,6 +47,11 @@ def test_identification_leaves_a_model_with_its_errors_and_recordings(identifica
     assert identified.voltage_range_v == pytest.approx((-20.0, 120.0))
 
 
+def test_identification_says_where_the_earlier_model_is_kept(identification):
+    assert identification.message == "the earlier model is kept as model.previous.json"
+    assert identification.path.with_name("model.previous.json").exists()
+
+
 def test_identification_tells_how_far_it_is(identification, told):
     steps, fractions, seconds_left = zip(*told, strict=True)
     stages = [step.split(":")[0] for step in steps]

@@ -80,6 +80,8 @@ class Identification(_ModelFile):
     else "inadequate"; empty if that was not tested."""
     components: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Adequacy of each component, as in the model file."""
+    message: str = ""
+    """Remarks, for example where an earlier model is kept; empty if there are none."""
 
 
 @dataclass(frozen=True)

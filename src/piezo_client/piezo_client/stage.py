@@ -274,7 +274,7 @@ class Stage:
         return Identification(
             Path(result.model), dict(zip(result.error_names, result.error_values, strict=True)),
             tuple(map(Path, result.recordings)), result.adequacy,
-            json.loads(result.adequacy_json or "{}"))
+            json.loads(result.adequacy_json or "{}"), result.message)
 
     def track(self, reference: Mapping[str, Any], model: AnyPath, mode: str = "composite",
               duration_s: float = 1.0, directory: AnyPath = "",

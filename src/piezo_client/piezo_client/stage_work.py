@@ -96,7 +96,7 @@ def _identify(stage: Stage, options: argparse.Namespace) -> list[str]:
     return [*(f"{name} {value:.4g}" for name, value in identification.errors.items()),
             *(" ".join([name, part["verdict"], part.get("left", "")]).rstrip()
               for name, part in identification.components.items()),
-            f"written {identification.path}",
+            *filter(None, [identification.message]), f"written {identification.path}",
             _next(options, "settle"),
             _next(options, "track", "--model", identification.path, "--output", options.output)]
 

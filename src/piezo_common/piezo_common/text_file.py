@@ -72,13 +72,18 @@ def replace_text(path: str | PathLike[str], text: str) -> None:
             left.unlink(missing_ok=True)
 
 
+def previous_of(path: Path) -> Path:
+    """Return where the earlier version of a file is kept: ``NAME.previous.json`` of a JSON file."""
+    return path.with_name(f"{path.stem}{PREVIOUS}{path.suffix}")
+
+
 def keep_previous(path: Path, earlier: Path | None = None) -> None:
     """Rename the earlier version of a file, and report it as a warning of `logging`.
 
-    That of ``NAME.json`` becomes ``NAME.previous.json`` and replaces an older one. By default the
-    earlier version is at the path. Raises OSError if it cannot be renamed.
+    It becomes `previous_of` the path and replaces an older one. By default the earlier version is
+    at the path. Raises OSError if it cannot be renamed.
     """
-    previous = path.with_name(f"{path.stem}{PREVIOUS}{path.suffix}")
+    previous = previous_of(path)
     os.replace(earlier or path, previous)
     log.warning("%s: the earlier file is kept as %s", path, previous.name)
 

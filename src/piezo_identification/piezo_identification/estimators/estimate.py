@@ -143,6 +143,11 @@ class Estimate:
         """Delay of the displacement if it is significant; negative if rows are read late."""
         return self.delay.delay_s if self.delay is not None and self.delay.is_significant else 0.0
 
+    @property
+    def refusal(self) -> str:
+        """Why the chosen order cannot be used, as none can; empty otherwise."""
+        return next((trial.refusal for trial in self.trials if trial.order == self.order), "")
+
     def order_table(self) -> str:
         """Return the best trials, one per line, with the chosen one marked."""
         trials = self._best_trials()

@@ -11,6 +11,7 @@ from piezo_interfaces.msg import SampleBlock, StageAxis, StageDescription
 from rclpy.lifecycle import LifecycleNode
 
 from piezo_common.budget import Budget
+from piezo_common.text_file import previous_of
 from piezo_identification.adequacy.component_adequacy import overall_verdict
 from piezo_identification.diagnosis.experiment_design.propose import LONGEST_S
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
@@ -284,8 +285,10 @@ class IdentificationNode(LifecycleNode):
         except IdentificationCancelled:
             raise Cancelled from None
         model = directory / "model.json"
+        kept = f"the earlier model is kept as {previous_of(model).name}" if model.exists() else ""
         save_model(model, identified)
-        result.model, result.message = str(model), identified.unfinished
+        result.model = str(model)
+        result.message = "; ".join(filter(None, (identified.unfinished, kept)))
         result.adequacy = overall_verdict(identified.adequacy)
         result.adequacy_json = json.dumps(identified.adequacy)
         result.error_names = list(identified.errors)

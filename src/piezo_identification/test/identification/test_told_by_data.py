@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import piezo_identification.identification.identify as module
+from piezo_identification.estimators.estimate import Estimate, OrderTrial
 from piezo_identification.identification.given_data import conditioned_data
 from piezo_identification.identification.identify import identify
+from piezo_identification.identification.linear_dynamics import LinearDynamics
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -55,3 +58,18 @@ def test_a_hysteresis_of_a_single_loop_is_named_as_such(creep, levels_v, is_line
         [replace(creep, voltage_v=voltage_v)], SimpleNamespace(is_line=is_line), told.append)
     assert len(told) == notes
     assert all("creep.csv turns at the ends of its range only" in text for text in told)
+
+
+@pytest.mark.parametrize("refusals, expected", [
+    (["a gain that the loops do not have"] * 2, 1), (["", "a lag as long as the record"], 0)])
+def test_dynamics_of_which_no_order_can_be_used_are_implausible(refusals, expected):
+    trials = tuple(OrderTrial(str(number), 5, 0.1, float(number), refusal)
+                   for number, refusal in enumerate(refusals))
+    estimate = Estimate(ElectricVibrationDynamics(), {}, trials[0].order, trials)
+    told = []
+    module.report_estimates(LinearDynamics(estimates={"dynamics": estimate}),
+                            SimpleNamespace(is_line=True, report=lambda: "a line"), told.append)
+    implausible = [text for text in told if text.startswith("implausible: every order of the")]
+    assert len(implausible) == expected
+    assert all("has a gain that the loops do not have, or another fault" in text
+               for text in implausible)

@@ -145,6 +145,7 @@ class _Search:
         with while_time_lasts("further orders of the dynamics", ORDERS):
             for free in frees[max(0, best - 1) : best + 1]:
                 self._try_forms(free)
+            # Of free poles that follow errors of the loops, none may be a mode.
             for free in reversed(frees[: max(0, best - 1)]):
                 if self._fits and not min(
                         self._trials(), key=lambda trial: trial.information).refusal:
