@@ -257,8 +257,9 @@ def report_estimates(linear: LinearDynamics, density: DensityEstimate,
         note(Detail(f"order of the {name}:\n{estimate.order_table()}", estimate.plot))
         if estimate.refusal:
             report_implausible([
-                f"every order of the {name} that was tried has {estimate.refusal}, or another fault: "
-                "check that all recordings are of the same stage and in the same units"], note)
+                f"every order of the {name} that was tried has {estimate.refusal}, or another "
+                "fault: check that all recordings are of the same stage and in the same units"],
+                note)
         if estimate.delay is not None:
             note(Detail(f"delay of the {name}: {estimate.delay}"))
         if isinstance(estimate.model, ResponseModel) and estimate.model.gain < 0.0:
