@@ -85,6 +85,10 @@ SETTINGS = SearchSettings()
 
 BOUC_WEN = "a Bouc-Wen hysteresis"
 
+MODE_IN_SERIES = "its mode in series"
+"""Tried again after a part was left out: beside a part that is not needed, the participation of an
+only mode may differ from one."""
+
 Tried = tuple[str, WholeFit]
 """Description of a change of the structure, and the fit with it."""
 
@@ -271,6 +275,8 @@ def searched(problem: WholeModel, best: WholeFit,
                 again = problem.again(best, SETTINGS.followed_steps)
                 tried.append(("the same, on from there", again))
                 best = again if is_better(again, best) else best
+            if is_simpler:
+                refuted.discard(MODE_IN_SERIES)
             _screen(problem, best, [
                 structure for structure in (
                     _with_less(best) if is_simpler else structures(problem, best))
@@ -602,7 +608,7 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
                         _without(model, place), delay_s)
     if len(modes) == 1 and not model.dynamics.mode_frequencies_rad_per_s:
         [(place, mode)] = modes.items()
-        yield Structure("its mode in series", replace(_without(model, place), dynamics=replace(
+        yield Structure(MODE_IN_SERIES, replace(_without(model, place), dynamics=replace(
             model.dynamics, mode_frequencies_rad_per_s=(mode.frequency_rad_per_s,),
             damping_ratios=(mode.damping_ratio,))), delay_s)
     for place, effect in enumerate(model.effects):

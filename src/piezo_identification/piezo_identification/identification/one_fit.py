@@ -127,9 +127,13 @@ class _Search:
         return _better(drifting, state)
 
     def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
-        """Search from the first start, and from others that may become better than its result."""
+        """Search from the first start, and from others that may become better than its result.
+
+        If it ends early, the others are compared as they are, on the held-out rows, too: an
+        amplifier of second order is the first start even if it is not the best one.
+        """
         state = self._from(first, BEGUN, length)
-        with while_time_lasts("the search from another start"):
+        with while_time_lasts("the search from another start") as search:
             for number, start in enumerate(others, 1):
                 check_cancelled()
                 # It has to make up for what the search before has gained, too. The search makes
@@ -140,6 +144,10 @@ class _Search:
                     begin = BEGUN + number * length
                     other = self._from(self._with_renewed_loops(start, begin), begin, length)
                     state = _better(other, state)
+        if search.was_cut:
+            for start in others:
+                gain = start.best.evidence_over(state.best)
+                state = start if gain + start.best.held_out_over(state.best) > 0.0 else state
         return state
 
     def with_held_out_rows(self, state: _State) -> _State:

@@ -47,15 +47,28 @@ def recordings(tmp_path):
     return of
 
 
+def modes_of(model):
+    """Frequency, damping ratio and part of each mode of a model with one in series."""
+    parallel = [effect for effect in model.effects if isinstance(effect, VibrationMode)]
+    dynamics = model.dynamics
+    assert dynamics.antiresonance_frequencies_rad_per_s == ()
+    (frequency,), (damping,) = dynamics.mode_frequencies_rad_per_s, dynamics.damping_ratios
+    return sorted([
+        (frequency, damping, 1.0 - sum(mode.participation for mode in parallel)),
+        *((mode.frequency_rad_per_s, mode.damping_ratio, mode.participation)
+          for mode in parallel)])
+
+
 @pytest.mark.long
 def test_rows_read_at_the_end_of_the_hold_do_not_enter_the_model(recordings, tmp_path):
     stage = IndependentStage(4.9e-4, MODES, read_at=1.0)
     told = []
     identified = identify(**recordings(stage), note=told.append)
-    assert identified.model.effects == ()
+    assert not any(isinstance(effect, Delay) for effect in identified.model.effects)
+    np.testing.assert_allclose(modes_of(identified.model), MODES, rtol=1e-3)
     assert identified.model.dynamics.time_constant_s == pytest.approx(4.9e-4, rel=1e-3)
     assert {name: row["read_at_samples"] for name, row in identified.rows.items()} == {
-        "dynamics": 1.0, "hysteresis": 1.0}
+        "dynamics": pytest.approx(1.0, abs=5e-4), "hysteresis": pytest.approx(1.0, abs=1e-5)}
     assert any("rows of the dynamics: read 1 sample periods after" in text for text in told)
     save_model(tmp_path / "model.json", identified)
     kept = load_model(tmp_path / "model.json").rows
@@ -66,15 +79,18 @@ def test_rows_read_at_the_end_of_the_hold_do_not_enter_the_model(recordings, tmp
 def test_a_delay_behind_rows_said_to_be_read_late_is_the_stages(recordings, tmp_path):
     stage = IndependentStage(4.9e-4, MODES, read_at=1.0, delay_s=2.5e-4)
     identified = identify(**recordings(stage), read_at_samples=1.0)
-    (delay,) = identified.model.effects
-    assert delay.name == "delay"
+    *modes, delay = identified.model.effects
+    assert [type(mode) for mode in modes] == [VibrationMode] and delay.name == "delay"
+    np.testing.assert_allclose(modes_of(identified.model), MODES, rtol=1e-3)
     assert delay.delay_s == pytest.approx(2.5e-4, abs=5e-7)
-    (deviation,) = identified.uncertainties["effects"]
-    assert 0.0 < deviation["delay_s"] < 5e-7
+    deviations = identified.uncertainties["effects"]
+    assert [set(each) for each in deviations] == [
+        {"frequency_rad_per_s", "damping_ratio", "participation"}, {"delay_s"}]
+    assert 0.0 < deviations[-1]["delay_s"] < 5e-7
     assert identified.rows["hysteresis"]["read_at_samples"] == 1.0
     save_model(tmp_path / "model.json", identified)
     assert load_model(tmp_path / "model.json").uncertainties["effects"] == [
-        pytest.approx(deviation)]
+        pytest.approx(each) for each in deviations]
 
 
 @pytest.mark.parametrize(("hidden", "read_at_samples", "delay_s"), [

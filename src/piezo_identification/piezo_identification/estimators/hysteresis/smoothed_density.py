@@ -27,6 +27,7 @@ from piezo_identification.estimators.hysteresis.everett_regression import (
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
 from piezo_identification.estimators.hysteresis.play_fit import PlaySum, fit_plays
 from piezo_identification.estimators.hysteresis.smoothing_choice import (
+    SMOOTHING_WEIGHTS,
     WEIGHTS,
     PenaltyChoice,
     choose_penalties,
@@ -250,6 +251,9 @@ def _choice_for(
     parts = _parts_for(size, plays)
     relieved = [replace(segment, output_um=segment.output_um - _output_um(
         segment, levels_v, plays, parts)) for segment in segments]
+    if known is None and first is not None:
+        # A density that describes plays, too, has a smaller weight than one about them.
+        first = SMOOTHING_WEIGHTS[0]
     with_plays = choose_penalties(
         relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1), first)
     if choice is None or LEAST_GAIN * with_plays.misfit < choice.misfit:

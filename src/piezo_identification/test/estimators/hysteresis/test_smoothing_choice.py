@@ -99,7 +99,8 @@ def test_of_the_same_loops_the_choice_is_confirmed_in_fewer_steps(measured_um):
             return density_of_segments([segment], LEVELS_V, LEVELS, near=near)
     first = found()
     again = found(first)
-    assert steps[1] < 0.5 * steps[0]
+    # A third confirms the weight. The rest fits plays again, which other errors may have hidden.
+    assert steps[1] < 0.6 * steps[0]
     assert again.smoothing_weight == first.smoothing_weight
     assert again.density_um_per_v2 == pytest.approx(
         first.density_um_per_v2, abs=1e-3 * first.density_um_per_v2.max())
