@@ -396,11 +396,13 @@ class FastRecord:
         response = _without(response[:, None], span)[:, 0]
         return float(response @ target / (response @ response))
 
+    def contradicts_loops(self, fit: FastFit) -> bool:
+        """Return whether the gain of a fit is far from that of the loops that drive the record."""
+        return (self.every_row or self).is_driven_by_loops and not (
+            1.0 / MOST_GAIN <= self.gain(fit) <= MOST_GAIN)
+
     def beyond_record(self, fit: FastFit) -> str:
-        """Return which part of a fit the record or its loops cannot show; empty if none is."""
-        if (self.every_row or self).is_driven_by_loops and not (
-                1.0 / MOST_GAIN <= self.gain(fit) <= MOST_GAIN):
-            return "a gain that the loops do not have"
+        """Return which part of a fit the record cannot show; an empty text if none is."""
         longest = self._bounds(fit.order, fit.vector.size)[1][0]
         if fit.vector[0] > longest - NEIGHBOURS:
             return "a lag as long as the record"

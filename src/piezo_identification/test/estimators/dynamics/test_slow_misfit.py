@@ -12,11 +12,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from independent_stage import IndependentStage
 
-from piezo_identification.estimators.dynamics import fast_creep
+from piezo_identification.estimators.dynamics import fast_creep, output_error
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord
 from piezo_identification.estimators.dynamics.fast_signals import joined_record
-from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_models.linear.dynamics import CreepDynamics
 
 PERIOD_S = 1e-4
@@ -61,24 +60,24 @@ def test_dynamics_have_about_the_gain_of_known_loops():
     record = replace(growing_sine(4000), is_driven_by_loops=True)
     ringing = record.fit(ModeOrder(1), np.log([1.6e-4, MODE_RAD_PER_S, 0.02]), 0.0)
     assert record.gain(ringing) == pytest.approx(0.8, rel=0.01)  # um/V of the stage
-    assert record.beyond_record(ringing) == ""
+    assert not record.contradicts_loops(ringing)
     tenfold = replace(record, measured_um=10.0 * record.measured_um)
     assert tenfold.gain(ringing) == pytest.approx(10.0 * record.gain(ringing))
-    assert tenfold.beyond_record(ringing) == "a gain that the loops do not have"
-    assert replace(tenfold, is_driven_by_loops=False).beyond_record(ringing) == ""
+    assert tenfold.contradicts_loops(ringing)
+    assert not replace(tenfold, is_driven_by_loops=False).contradicts_loops(ringing)
 
 
-def test_fewer_modes_are_tried_where_those_of_most_evidence_have_no_such_gain(monkeypatch):
-    record = replace(growing_sine(4000), is_driven_by_loops=True)
-    refused = FastRecord.beyond_record
-
-    def of_few_modes(self, fit):
-        return refused(self, fit) or ("too many" if fit.order.modes + fit.order.parallel else "")
-
-    monkeypatch.setattr(FastRecord, "beyond_record", of_few_modes)
-    estimate = fit_output_error(record)
-    assert (estimate.order.modes, estimate.order.parallel) == (0, 0)
-    assert any(trial.refusal == "too many" for trial in estimate.trials)
+@pytest.mark.parametrize("most, is_refused", [(1e6, True), (1.0, False)])
+def test_fewer_modes_are_used_where_others_contradict_the_loops(monkeypatch, most, is_refused):
+    """They are if they explain the record nearly as well."""
+    monkeypatch.setattr(output_error, "MOST_RESIDUAL", most)
+    monkeypatch.setattr(FastRecord, "contradicts_loops", lambda _, fit: bool(
+        fit.order.modes + fit.order.parallel))
+    estimate = output_error.fit_output_error(growing_sine(4000))
+    modes = estimate.order.modes + estimate.order.parallel
+    assert (modes == 0) == is_refused
+    assert any(trial.refusal == output_error.CONTRADICTS
+               for trial in estimate.trials) == is_refused
 
 
 def test_slow_lines_of_a_long_record_are_left_out(monkeypatch):
