@@ -16,6 +16,7 @@ and a step reduces it by no more than the function itself.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -55,8 +56,8 @@ class ErrorSettings:
 
 SETTINGS = ErrorSettings()
 
-KEPT_VALUES = 8
-"""Number of cached values of each effect: those of the point and of the steps from it."""
+KEPT = 256
+"""Number of cached effects: those of the points of a few fits and of the steps from them."""
 
 
 class RecordingBefore(SimulatedRecording):
@@ -111,6 +112,12 @@ def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
     """Return nuisance regressors and those of recurring effects of a recording, (n, k)."""
     own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
     return np.column_stack([part.nuisance_regressors(rows), *own])
+
+
+@lru_cache(maxsize=KEPT)
+def _with_values(effect: Effect, values: tuple[float, ...]) -> Effect:
+    """Return an effect with fitted values, cached: a derivative changes one effect of several."""
+    return with_fitted_values(effect, np.array(values))
 
 
 class _Nuisance:
@@ -227,7 +234,6 @@ class JointErrors:
             dataset.simulated, dataset.rows, strict=True)]
         self._pieces_um = pieces_um
         self._points: dict[bytes, _Point] = {}
-        self._with_last_values: list[dict[bytes, Effect]] = [{} for _ in effects]
         self._columns: tuple[bytes, list[FloatArray]] = b"", []
         self._columns_are_given = columns is not None
         if columns is not None:
@@ -240,18 +246,9 @@ class JointErrors:
 
     def effects_at(self, vector: FloatArray) -> tuple[Effect, ...]:
         """Return the fitted effects at some unknowns, followed by the held effects."""
-        return (*(self._with_values(index, vector[start:end]) for index, (start, end) in enumerate(
-            pairwise(self._ends))), *self._held)
-
-    def _with_values(self, index: int, values: FloatArray) -> Effect:
-        """Return an effect with fitted values, cached: a derivative changes one of them."""
-        key = values.tobytes()
-        known = self._with_last_values[index]
-        if key not in known:
-            for old in list(known)[: 1 - KEPT_VALUES]:
-                known.pop(old, None)  # a parallel fit may have removed it
-            known[key] = with_fitted_values(self._effects[index], values)
-        return known[key]
+        return (*(_with_values(effect, tuple(vector[start:end].tolist()))
+                  for effect, (start, end) in zip(
+                      self._effects, pairwise(self._ends), strict=True)), *self._held)
 
     def dataset_at(self, vector: FloatArray) -> Dataset:
         """Return the data set simulated with the changed model, with its nuisance regressors."""

@@ -31,7 +31,6 @@ systems at a time."""
 LONG = 128
 """Samples of a block if few outputs are needed, which makes the states the main cost."""
 
-
 MANY = 0.4
 """Share of the samples above which all are computed, as products of matrices, instead of some."""
 

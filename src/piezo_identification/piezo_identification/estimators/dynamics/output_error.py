@@ -72,9 +72,12 @@ HOPELESS = 1000.0
 """Ratio to the residual power of free residues above which a form is not fitted to the end. The lag
 of a sensor that is yet to be found may leave a hundred times as much."""
 
-MOST_RESIDUAL, CONTRADICTS = 10.0, "a gain that the loops do not have"
+MOST_RESIDUAL = 10.0
 """Residual, relative to the least, up to which an order is preferred to others that contradict the
-known loops, and why those are then refused."""
+known loops."""
+
+CONTRADICTS = "a gain that the loops do not have"
+"""Why those are then refused."""
 
 LAGGING_FORMS = 2
 """Number of forms, the best of as many modes, that are tried with a sensor lag."""
@@ -151,8 +154,8 @@ class _Search:
                 self._try_forms(free)
             # Of free poles that follow errors of the loops, none may be a mode.
             for free in reversed(frees[: max(0, best - 1)]):
-                if self._fits and not self._contradicts_loops(min(
-                        self._trials(), key=lambda trial: trial.information)):
+                if self._fits and not self._record.contradicts_loops(
+                        min(self._fits.values(), key=self._information)):
                     break
                 self._try_forms(free)
         if not self._fits:
@@ -214,14 +217,13 @@ class _Search:
             self._information(fit), self._record.beyond_record(fit))
             for order, fit in self._fits.items()]
         most = MOST_RESIDUAL * min(trial.residual_rms for trial in trials)
+        contradict = {order for order, fit in self._fits.items()
+                      if self._record.contradicts_loops(fit)}
         if any(trial.residual_rms <= most and not trial.refusal
-               and not self._contradicts_loops(trial) for trial in trials):
+               and trial.order not in contradict for trial in trials):
             trials = [replace(trial, refusal=trial.refusal or CONTRADICTS)
-                      if self._contradicts_loops(trial) else trial for trial in trials]
+                      if trial.order in contradict else trial for trial in trials]
         return tuple(trials)
-
-    def _contradicts_loops(self, trial: OrderTrial) -> bool:
-        return self._record.contradicts_loops(self._fits[trial.order])
 
     def _try_forms(self, free: FreeFit) -> None:
         """Fit the free poles as a model, forms with as many modes, and the best with a lag."""
