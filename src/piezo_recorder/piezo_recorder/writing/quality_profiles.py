@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from piezo_recorder.writing.yaml_text import to_yaml
+
 NANOSECONDS = 1_000_000_000
 POLICIES = ("reliability", "durability")
 DURATIONS = ("deadline", "lifespan")
@@ -29,7 +31,7 @@ def offered_profile(quality: Any) -> dict[str, Any]:
 
 def profiles_to_text(profiles: Iterable[dict[str, Any]]) -> str:
     """Return the YAML text of a list of profiles for a channel of an MCAP file."""
-    return yaml.safe_dump(list(profiles), sort_keys=False)
+    return to_yaml(list(profiles))
 
 
 def profiles_from_text(text: str) -> list[dict[str, Any]]:

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import mcap.writer
-import yaml
 
 from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.quality_profiles import profiles_to_text
+from piezo_recorder.writing.yaml_text import to_yaml
 
 METADATA_VERSION = 9
 CHUNK_BYTES = 1024 * 1024
@@ -175,7 +175,7 @@ class RecordingWriter:
         }}
         # Replaced as a whole, so that a kill leaves either the old or the new file.
         complete = self.path / ".metadata.yaml"
-        complete.write_text(_to_yaml(metadata), encoding="utf-8")
+        complete.write_text(to_yaml(metadata), encoding="utf-8")
         os.replace(complete, self.path / "metadata.yaml")
 
 
@@ -191,12 +191,3 @@ def _topic_metadata(topic: str, definition: MessageDefinition,
         },
         "message_count": count,
     }
-
-
-def _to_yaml(value: object) -> str:
-    # rosbag2's parser accepts no anchors, which the shared time span would get.
-    class Dumper(yaml.SafeDumper):
-        def ignore_aliases(self, _: object) -> bool:
-            return True
-
-    return yaml.dump(value, Dumper=Dumper, sort_keys=False)

@@ -86,8 +86,8 @@ def feedback_at_margin(name: str, model: StageModel, frequency_hz: float,
                       worst_peak_sensitivity=peak_sensitivity, errors=ERRORS,
                       disturbance_tolerance=REPEATED)
     method = name.replace("-", "_")
-    found = design_by(method, model, demands, clock_period_s, effort)
     loops = demands.loops(model, clock_period_s)
+    found = design_by(method, model, demands, clock_period_s, effort, loops)
     system = _at_margin(name, found.state_space(), loops, peak_sensitivity)
     kept = {key: found.report[key] for key in ("numbers", "repeats_hz") if key in found.report}
     return measured_design(system, model, demands, loops, method, kept, model_sha256)

@@ -58,16 +58,17 @@ STEPS = (0.05, 0.15, 0.4)
 
 
 def design_by(method: str, model: StageModel, demands: Demands, clock_period_s: float = 25e-6,
-              effort: float = 1.0) -> FeedbackController:
+              effort: float = 1.0, loops: PerturbedLoops | None = None) -> FeedbackController:
     """Design a feedback that the stage evaluates at every sample by a method of `METHODS`.
 
-    For the arguments and errors see `design_at_sample_rate`. The report of `measured_design` also
-    holds the ``numbers`` of the family, and for ``h_infinity`` ``gamma`` and ``mu``.
+    For the arguments and errors see `design_at_sample_rate`; `loops` are those of the demands, if
+    they exist already. The report of `measured_design` also holds the ``numbers`` of the family,
+    and for ``h_infinity`` ``gamma`` and ``mu``.
     """
     if method == METHOD:
         return design_at_sample_rate(model, demands, clock_period_s, effort)
     check_modes(model)
-    loops = demands.loops(model, clock_period_s)
+    loops = loops or demands.loops(model, clock_period_s)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     family = _family(method, model, min(demands.disturbance_hz), clock_period_s)
     numbers = _search_by_trial(family, loops, demands, first_mode_hz, effort)
