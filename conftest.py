@@ -39,7 +39,7 @@ SHARED = {
     "identification": {
         "test_diagnose_action", "test_diagnose_experiments", "test_examples",
         "test_experiments_recorded", "test_general_references", "test_identify_and_track",
-        "test_long_streams", "test_run_supervision", "test_stage_faults"},
+        "test_long_streams", "test_probe_with_nodes", "test_run_supervision", "test_stage_faults"},
     "whole_suite": {
         "test_client_library", "test_impossible_transitions", "test_node_parameters",
         "test_security", "test_stage_tracking", "test_stage_waveforms", "test_two_stages"},

@@ -10,8 +10,10 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import cache, partial
 from importlib.metadata import distribution
 from multiprocessing.context import ForkServerContext
+from multiprocessing.forkserver import ensure_running
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from unittest import mock
 
 from undrawn import work_undrawn
 
@@ -98,6 +100,9 @@ def _server() -> ForkServerContext:
         *(_entry(name).__module__ for name in EXECUTABLES), "loaded_kernels",
         work_undrawn.__module__,
         "rosidl_generator_py"])  # by which a node imports its messages
+    # Python 3.11 seeks them without this process's sys.path, and passes over what it does not find.
+    with mock.patch.dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)):
+        ensure_running()
     return context
 
 

@@ -51,6 +51,7 @@ def test_identify_and_track_takes_recordings_and_tracks_well(suite, identificati
     assert e_rms_percent < 0.1
 
 
+@pytest.mark.long
 def test_any_trajectory_is_tracked_with_and_without_feedback(suite, model, tmp_path):
     printed = suite.beside(run_example, "track_any_trajectory", model, tmp_path, *ON_LEFT)
     feedforward, composite = (float(line.split("e_rms ")[1].split(" %")[0])

@@ -62,6 +62,7 @@ def test_experiment_alone_is_recorded_as_designed_and_tells_how_far_it_is(suite,
     assert all(feedback.seconds_left >= 0.0 for feedback in told)
 
 
+@pytest.mark.long
 def test_distortion_experiment_separates_the_noise_of_the_sensor_from_the_hysteresis(
         suite, tmp_path):
     recording = read_recording(suite.run_experiment("distortion", tmp_path).recording)
@@ -153,6 +154,7 @@ def test_experiment_is_refused_while_the_stage_plays_something_else(suite, tmp_p
     assert status == GoalStatus.STATUS_CANCELED
 
 
+@pytest.mark.long
 def test_relay_oscillates_in_feedback_and_tells_the_ultimate_gain(suite, tmp_path):
     told = []
     result = suite.run_experiment("relay", tmp_path, on_feedback=told.append)

@@ -88,6 +88,7 @@ def track(client, files, directory, mode, **fields):
                        directory=str(directory), **fields)
 
 
+@pytest.mark.long  # test_feedback_on_board.py plays such a law, and the design has its unit tests
 def test_the_simulated_stage_attenuates_as_designed_up_to_beyond_its_first_mode(
         nodes, files, law, near_model, wrong_model, tmp_path):
     client = nodes.start("recorder", "controller", namespace="/samples")

@@ -2,9 +2,11 @@
 """The identification node probes the simulated stage, and fits its experiments to what it found."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+from probes import write_short_probe
 
 from piezo_client.client import GoalFailed
 from piezo_client.stage import Stage
@@ -12,6 +14,18 @@ from piezo_identification.experiments.probing.probe_file import load_probe
 from piezo_recorder.reading.reader import read_recording
 
 
+def test_probe_of_another_stage_or_beside_recordings_is_refused(suite, tmp_path):
+    write_short_probe(tmp_path)
+    text = (tmp_path / "probe.json").read_text()
+    (tmp_path / "probe.json").write_text(re.sub(
+        '"voltage_max_v": [0-9.]+', '"voltage_max_v": 60.0', text, count=1))
+    with pytest.raises(GoalFailed, match="made with voltage_max_v 60, the stage has 120"):
+        suite.run_experiment("dynamics", tmp_path)
+    with Stage("/left") as stage, pytest.raises(GoalFailed, match="leave one out"):
+        suite.beside(stage.identify, tmp_path, [tmp_path] * 4, probe_first=True)
+
+
+@pytest.mark.long
 def test_probe_measures_the_stage_and_later_experiments_fit_it(nodes, tmp_path):
     client = nodes.start("recorder", "identification")
     with Stage() as stage:
@@ -38,13 +52,6 @@ def test_probe_measures_the_stage_and_later_experiments_fit_it(nodes, tmp_path):
         played = read_recording(ran.path)
         played_v = played.select(played.playing).voltage_v
         assert np.ptp(played_v) == pytest.approx(fitted["swing_v"])
-        text = (tmp_path / "probe.json").read_text()
-        (tmp_path / "probe.json").write_text(text.replace(
-            f'"voltage_max_v": {document.limits.voltage_max_v}', '"voltage_max_v": 60.0', 1))
-        with pytest.raises(GoalFailed, match="made with voltage_max_v 60, the stage has 120"):
-            client.beside(stage.run_experiment, "dynamics", tmp_path)
-        with pytest.raises(GoalFailed, match="leave one out"):
-            client.beside(stage.identify, tmp_path, [tmp_path] * 4, probe_first=True)
 
 
 @pytest.mark.long

@@ -24,7 +24,7 @@ from piezo_models.model_file import save_model
 from piezo_recorder.reading.reader import read_recording
 from piezo_ros.stage_runs.run_account import MAX_LATE_PERCENT
 
-TICK_S = 1e-3
+TICK_S = 5e-3
 # Of the stage's time, whose recording takes more than MOST_BYTES.
 RUNS_TO_ITS_END_S = 20.0
 MOST_BYTES = 1_000_000
@@ -187,7 +187,7 @@ def test_recording_bears_the_quality_of_its_topics(suite, fields):
 def paced(nodes):
     """A paced stage whose controller answers block by block."""
     return nodes.start("recorder", "controller", namespace="/late", timing="paced",
-                       max_missed_feedback=10_000,
+                       samples_per_tick=round(TICK_S * 40_000), max_missed_feedback=10_000,
                        node_parameters={"controller": {"feedback": "remote"}})
 
 
