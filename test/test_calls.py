@@ -24,6 +24,7 @@ from piezo_ros import deadlines
 from piezo_ros.deadlines import seconds_since, set_deadline, why_too_late
 from piezo_ros.impossible_transitions import answer_impossible_transitions
 from piezo_ros.late_responses import create_late_service
+from piezo_ros.leaving import leave
 from piezo_ros.requests import calls, servers
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request
 from piezo_ros.requests.servers import Waiting, server_of
@@ -65,8 +66,7 @@ class Spinning:
         self.stop_executor()
         self._executor.remove_node(self.node)
         self._executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
+        leave(self.node)
 
 
 def meet(node, service):

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+from piezo_identification.diagnosis import diagnose
+from piezo_identification.diagnosis.diagnose import compare_effects
+
 PACKAGES = ("piezo_identification", "piezo_models", "piezo_offline", "piezo_recorder", "piezo_sim",
             "piezo_stage_driver")
 ROOMS = ("piezo_identification.prediction",)
@@ -53,7 +56,22 @@ WITHOUT_EXAMPLE = {
 }
 
 
+@pytest.fixture
+def compared_once(monkeypatch):
+    """Compare the effects once for the examples that diagnose the same recording."""
+    compared = {}
+
+    def compare_once(model, recordings, *asked):
+        key = tuple(each.displacement_um.tobytes() for each in recordings)
+        if key not in compared:
+            compared[key] = compare_effects(model, recordings, *asked)
+        return compared[key]
+
+    monkeypatch.setattr(diagnose, "compare_effects", compare_once)
+
+
 @pytest.mark.filterwarnings("ignore:implausible")
+@pytest.mark.usefixtures("compared_once")
 @pytest.mark.parametrize("name", ["piezo_identification", "piezo_models", "piezo_offline",
                                   "piezo_recorder"])
 def test_every_exported_function_has_an_example_that_runs(name, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ from rclpy.task import Future
 
 from piezo_ros.discovery import prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
+from piezo_ros.leaving import leave
 
 ASK_AGAIN_S = 2.0
 """A node may respond before discovery of the caller is complete; that response is lost."""
@@ -49,8 +50,7 @@ class Readiness:
         self._executor.shutdown()
         for server in self._servers.values():
             self._node.destroy_client(server)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        leave(self._node)
 
     def look(self, timeout_s: float) -> set[str]:
         """Query nodes that have not responded until the timeout; return those still silent."""

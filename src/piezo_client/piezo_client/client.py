@@ -21,6 +21,7 @@ from piezo_ros.deadlines import set_deadline
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
+from piezo_ros.leaving import leave
 from piezo_ros.messages import Message, MessageType
 from piezo_ros.process_watch import ProcessWatch
 from piezo_ros.requests.calls import may_be_repeated
@@ -128,8 +129,7 @@ class Client:
         for service in self._services.values():
             self.node.destroy_client(service)
         self._services.clear()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        leave(self.node)
 
     def run_experiment(self, experiment: str, directory: AnyPath,
                        **options: Any) -> RunExperiment.Result:

@@ -21,6 +21,7 @@ from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.impossible_transitions import answer_impossible_transitions
+from piezo_ros.leaving import leave
 from piezo_ros.memory_limit import end_before_stage, limit_memory
 from piezo_ros.parameters import declare
 from piezo_ros.process_watch import ProcessWatch
@@ -133,8 +134,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
         getattr(node, "close", lambda: None)()
         watch.end()
         executor.remove_node(node)
-        node.destroy_node()
-        rclpy.try_shutdown()
+        leave(node)
     if ending.stood_still_s:
         sys.exit(FAILED_STATUS)
 

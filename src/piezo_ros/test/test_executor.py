@@ -6,6 +6,7 @@ import rclpy
 from std_srvs.srv import Trigger
 
 from piezo_ros.executor import make_executor, spin_once
+from piezo_ros.leaving import leave
 
 
 @pytest.fixture
@@ -19,8 +20,7 @@ def spun():
     yield node, executor
     executor.remove_node(node)
     executor.shutdown()
-    node.destroy_node()
-    context.try_shutdown()
+    leave(node)
 
 
 def raise_plainly(*_):

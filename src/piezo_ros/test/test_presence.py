@@ -8,6 +8,7 @@ import pytest
 import rclpy
 
 from piezo_ros import presence
+from piezo_ros.leaving import leave
 from piezo_ros.presence import ClientWatch, Presence
 
 TIMEOUT_S = 300.0
@@ -55,7 +56,7 @@ def test_node_of_the_same_name_does_not_stand_for_one_that_is_gone(contexts, wat
     assert not watched.gone
     contexts("mortal")
     seen(watcher, "mortal", 2)
-    first.destroy_node()
+    leave(first)
     until(lambda: watched.gone)
     assert not Presence(watcher, "/presence/mortal").gone
 
@@ -66,7 +67,7 @@ def test_successor_is_watched_anew_once_nobody_was_in_between(contexts, watcher)
     seen(watcher, "mortal")
     assert not watch.is_gone("/presence/mortal")
     assert not watch.is_gone("")
-    first.destroy_node()
+    leave(first)
     contexts("mortal")
     seen(watcher, "mortal")
     assert not watch.is_gone("/presence/mortal")
@@ -93,7 +94,7 @@ def test_node_is_known_from_the_beginning_however_late_it_is_looked_at(
     first = contexts("mortal")
     seen(watcher, "mortal")
     watched = Presence(watcher, "/presence/mortal")
-    first.destroy_node()
+    leave(first)
     seen(watcher, "mortal", 0)
     contexts("mortal")
     seen(watcher, "mortal")

@@ -12,6 +12,7 @@ import rclpy
 
 from piezo_ros import process_watch
 from piezo_ros.discovery import LEASE_S, LOOPBACK, prepare_discovery
+from piezo_ros.leaving import leave
 from piezo_ros.process_watch import ProcessWatch
 
 # Far below the lease, however busy the machine is.
@@ -33,8 +34,7 @@ def watcher():
     watch = ProcessWatch(node)
     yield node
     watch.end()
-    node.destroy_node()
-    context.try_shutdown()
+    leave(node)
 
 
 @pytest.fixture
