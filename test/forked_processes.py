@@ -97,7 +97,7 @@ class ForkedNode:
 def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
-        *(_entry(name).__module__ for name in EXECUTABLES), "loaded_kernels",
+        *(_entry(name).__module__ for name in EXECUTABLES), "started_before",
         work_undrawn.__module__,
         "rosidl_generator_py"])  # by which a node imports its messages
     # Python 3.11 seeks them without this process's sys.path, and passes over what it does not find.

@@ -59,7 +59,8 @@ def test_the_slow_creep_pair_is_within_a_thousandth(record, seed):
     assert estimate.model.poles_rad_per_s[1] == pytest.approx(10.0, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.long  # a stage with two modes is asked for in test_dynamics_estimator.py
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_lag_mode_and_damping_are_as_near_as_asked(record, seed):
     estimate = estimate_dynamics(record(0.1, 1e-4, 100, seed), CREEP)
     assert str(estimate.order) == "1"

@@ -7,6 +7,7 @@ import pytest
 
 from piezo_controller.commands import axes_design_work
 from piezo_controller.commands.design_command import main
+from piezo_controller.feedback import feedback_design
 from piezo_controller.feedback.axes_design import (
     axes_plant_errors,
     design_axes_feedback,
@@ -196,6 +197,8 @@ def test_command_writes_the_law_its_picture_and_its_page(
         return law
 
     monkeypatch.setattr(axes_design_work, "design_axes_feedback", designed)
+    monkeypatch.setattr(axes_design_work, "DRAWN", 5)
+    monkeypatch.setattr(feedback_design, "FREQUENCIES", 40)
     assert main(["--model", str(model_file), "--disturbance-hz", "10",
                  "--output", str(tmp_path / "law.json")]) == 0
     printed = capsys.readouterr().out

@@ -13,6 +13,7 @@ import pytest
 from piezo_controller.axes.followed_scan import AxesStage
 from piezo_controller.axes.scan import scan
 from piezo_controller.axes.stored_scan import PERIOD_FILE, stored_scan, write_scan
+from piezo_controller.feedback import feedback_design
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.path_run import prepare_path
@@ -86,7 +87,9 @@ def test_path_planned_before_is_tracked_from_its_file(prepared, model_file, tmp_
 
 
 @pytest.mark.usefixtures("short_search")
-def test_marks_come_with_their_places_from_the_first_period_on(prepared, model_file):
+def test_marks_come_with_their_places_from_the_first_period_on(
+        prepared, model_file, monkeypatch):
+    monkeypatch.setattr(feedback_design, "FREQUENCIES", 10)
     run = prepared("composite")
     once, period = (np.frombuffer(part, np.uint8) for part in run.marks)
     assert len(once) == len(run.plan.once_voltage_v) and len(period) == 2720

@@ -74,8 +74,8 @@ CASES = {
                             {"driven": ((1, 0), (-CROSSTALK, 1))}),
     "delay[x]": (3.3e-4, {"LATE": (3.6, 1.6)}, {}),
     "delay[y]": (5e-5, {"LATE": (0.3, 2.1)}, {})}
-SHOWN_BELOW = ("gain[x]", "delay[y]")
-"""By the command, and by two effects together."""
+SHOWN_ELSEWHERE = ("gain[x]", "delay[y]", "cross_coupling[x,y]")
+"""By the command, by two effects together, and of a frequency response."""
 OF_THE_OTHER_AXIS = ("gain[y]", "cross_coupling[y,x]", "delay[x]")
 
 
@@ -86,7 +86,7 @@ def label(entry):
 
 
 @pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[pytest.mark.long] if name in OF_THE_OTHER_AXIS + SHOWN_BELOW else [])
+    pytest.param(name, marks=[pytest.mark.long] * (name in OF_THE_OTHER_AXIS + SHOWN_ELSEWHERE))
     for name in CASES])
 def test_effect_is_named_with_its_axis_and_the_extended_model_predicts(
         identified, monkeypatch, name):
@@ -162,7 +162,7 @@ def test_two_effects_are_named_together(identified, monkeypatch):
 
 @pytest.mark.parametrize("seed", [
     0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
-@pytest.mark.parametrize("kind", ["fast", "slow"])
+@pytest.mark.parametrize("kind", ["fast", pytest.param("slow", marks=pytest.mark.long)])
 def test_nothing_is_named_on_an_unchanged_stage(identified, seed, kind):
     rng = np.random.default_rng(seed)
     voltage_v = fast_v(rng) if kind == "fast" else slow_v()

@@ -82,8 +82,8 @@ CASES = {
     "squareness[y,x]": ({"seen": mixed(2, 1, 0, 0.01)}, 0.01),
     "cross_coupling[x,y]": ({"driven": mixed(2, 0, 1, CROSSTALK)}, CROSSTALK * STATIC),
     "delay[y]": ({"late_s": (0.0, 3e-5)}, 3e-5)}
-SHOWN_BELOW = ("squareness[y,x]", "delay[y]")
-"""Of three axes, and by the command."""
+SHOWN_ELSEWHERE = ("squareness[y,x]", "delay[y]", "gain[x]")
+"""Of three axes, by the command, and of recordings."""
 
 
 def label(entry):
@@ -101,7 +101,7 @@ def named(diagnosis):
 @pytest.mark.parametrize("is_known", [
     True, pytest.param(False, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", [
-    pytest.param(name, marks=[pytest.mark.long] if name in SHOWN_BELOW else []) for name in CASES])
+    pytest.param(name, marks=[pytest.mark.long] * (name in SHOWN_ELSEWHERE)) for name in CASES])
 def test_effect_is_named_with_its_axis(two, name, is_known):
     changes, value = CASES[name]
     found, parameters, deviations = named(diagnose_axes(two, response(2, 5, is_known, **changes)))
@@ -138,7 +138,8 @@ def test_mode_that_one_axis_drives_is_named_with_it(two, axis):
 @pytest.mark.parametrize("seed", [
     1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))])
 @pytest.mark.parametrize("kind", [
-    {}, {"is_known": False}, {"is_held": False}], ids=["held", "unknown noise", "continuous"])
+    pytest.param({}, id="held"), pytest.param({"is_known": False}, id="unknown noise"),
+    pytest.param({"is_held": False}, id="continuous", marks=pytest.mark.long)])
 def test_nothing_is_named_on_an_unchanged_stage(two, seed, kind):
     measured = response(2, seed, **kind)
     if not measured.is_held:  # samples at this rate show no more of a continuous response

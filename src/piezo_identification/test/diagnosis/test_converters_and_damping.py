@@ -89,7 +89,7 @@ def test_steps_of_the_sensor_are_found_with_their_size(model):
     assert diagnosis.after["rms_um"] < 0.5 * diagnosis.before["rms_um"]
 
 
-@pytest.mark.parametrize("deviation_um", [1e-3, 1e-2])
+@pytest.mark.parametrize("deviation_um", [1e-3, pytest.param(1e-2, marks=pytest.mark.long)])
 def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
     voltage_v, step_um = slow(), 1e-3
     displacement_um = linear(voltage_v) + noise(voltage_v.size, deviation_um)

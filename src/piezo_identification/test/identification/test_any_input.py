@@ -127,7 +127,7 @@ def test_square_wave_whose_first_row_lies_between_its_levels_is_one(linear_stage
 
 @pytest.mark.usefixtures("without_search")
 def test_recordings_of_the_dynamics_may_differ_in_their_sample_periods(record, linear_stage):
-    recordings = [record(linear_stage, voltage_of(kind)[: COUNT // 4], period_s, noise_um=0.01)
+    recordings = [record(linear_stage, voltage_of(kind)[: COUNT // 8], period_s, noise_um=0.01)
                   for kind, period_s in (("square", PERIOD_S), ("chirp", 2.0 * PERIOD_S))]
     adequacy = identify(dynamics=recordings, order=ResponseOrder(0, 1, 0),
                         density=DensityOptions(10, 1e-10, 1e-10)).adequacy

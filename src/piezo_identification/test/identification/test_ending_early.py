@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """An identification that ends early writes the best model so far, said to be unfinished."""
 
+import os
 from itertools import count
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from piezo_common.budget import Budget
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.identification import linear_dynamics
 from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_identification.report.identification_report import identification_sentence
@@ -16,6 +18,24 @@ from piezo_recorder.reading.reader import read_recording
 
 # Which of them is best is not asked here, and takes most of an identification.
 ASKED = {"order": ResponseOrder(None, 2, 0), "density": DensityOptions(20, 1e-10, 1e-10)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def dynamics_once():
+    """Estimate the dynamics of the recordings once: all identifications here have the same.
+
+    `make long` estimates them anew in each.
+    """
+    estimate, found = linear_dynamics.estimate_dynamics, []
+
+    def once(*given, **options):
+        if not found or "LONG_TESTS" in os.environ:
+            found[:] = [estimate(*given, **options)]
+        return found[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(linear_dynamics, "estimate_dynamics", once)
+        yield
 
 
 @pytest.fixture(scope="module")

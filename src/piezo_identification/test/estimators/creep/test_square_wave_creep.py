@@ -92,7 +92,7 @@ def test_creep_of_a_fast_stage_is_sought_as_soon_as_its_fast_motion_is_over():
 def test_creep_alike_in_every_decade_is_followed_to_the_noise():
     rates = np.geomspace(1e-3, 10.0, 10)
     period_s, half = 0.2, 200
-    level = np.tile(np.repeat([1.0, 0.0], half), 4)
+    level = np.tile(np.repeat([1.0, 0.0], half), 2)
     crept = sum(lfilter([0.0, 1.0 - decay], [1.0, -decay], level)
                 for decay in np.exp(-rates * period_s))
     noise_um = 2e-3 * np.random.default_rng(3).normal(size=level.size)

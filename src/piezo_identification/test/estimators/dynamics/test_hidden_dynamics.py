@@ -81,7 +81,7 @@ def normalised_errors(stage, estimate):
 
 @pytest.mark.parametrize(("hidden", "samples"), [
     pytest.param({"delay_s": 1e-4}, 4.0, id="delay", marks=pytest.mark.long),
-    pytest.param({"read_at": 1.0}, -1.0, id="end of hold"),
+    pytest.param({"read_at": 1.0}, -1.0, id="end of hold", marks=pytest.mark.long),
     pytest.param({"read_at": 0.4}, -0.4, id="within the hold", marks=pytest.mark.long),
     pytest.param({"sensor_lag_s": 1e-4}, 0.0, id="sensor lag", marks=pytest.mark.long)])
 def test_what_hides_behind_the_dynamics_is_found_and_does_not_bend_them(hidden, samples):
@@ -231,8 +231,9 @@ def test_a_known_delay_is_not_fitted():
 
 
 def test_only_orders_that_are_asked_for_are_tried_as_far_as_there_is_evidence_for_them():
-    stage = IndependentStage(4.9e-4, ((2846.0, 0.2, 1.0),))
-    period = mean_period(record(stage), CreepDynamics())
+    stage, period_s = IndependentStage(4.9e-4, ((2846.0, 0.2, 1.0),)), 4.0 * PERIOD_S
+    voltage_v = square_wave_v(sample_period_s=period_s, periods=PERIODS)
+    period = mean_period(stage.record(voltage_v, period_s, NOISE_UM, 1), CreepDynamics())
     every = fit_output_error(period)
     among = fit_output_error(period, among=[every.order])
     assert {trial.order for trial in among.trials} == {every.order}

@@ -73,7 +73,7 @@ def test_fewer_modes_are_used_where_others_contradict_the_loops(monkeypatch, mos
     monkeypatch.setattr(output_error, "MOST_RESIDUAL", most)
     monkeypatch.setattr(FastRecord, "contradicts_loops", lambda _, fit: bool(
         fit.order.modes + fit.order.parallel))
-    estimate = output_error.fit_output_error(growing_sine(1500))
+    estimate = output_error.fit_output_error(growing_sine(800))
     modes = estimate.order.modes + estimate.order.parallel
     assert (modes == 0) == is_refused
     assert any(trial.refusal == output_error.CONTRADICTS
