@@ -9,9 +9,11 @@ the callback needs. About one client in a thousand ends while others are being d
 import ctypes
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from typing import Any
 
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
 from piezo_ros.discovery import FAST_DDS, MIDDLEWARE
@@ -26,8 +28,12 @@ SET_LISTENER = (
 
 
 def leave(node: Node) -> None:
-    """Destroy a node, and shut down its context; both belong to nobody else."""
-    _end_discovery(node)
+    """Destroy a node, and shut down its context; both belong to nobody else.
+
+    A node that has left already is left as it is.
+    """
+    with suppress(InvalidHandle):
+        _end_discovery(node)
     node.destroy_node()
     node.context.try_shutdown()
 
