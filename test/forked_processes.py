@@ -129,5 +129,6 @@ def _run(main: Callable[[], object], command: list[str], log: Path,
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = command
+    assert "started_before" in sys.modules, "the fork server did not find what nodes start with"
     work_undrawn()
     main()

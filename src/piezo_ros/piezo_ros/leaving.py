@@ -16,8 +16,6 @@ from typing import Any
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 
-from piezo_ros.discovery import FAST_DDS, MIDDLEWARE
-
 CALLBACKS_END_S = 10
 """Limit of the wait for the callbacks of discovery, which take milliseconds."""
 
@@ -52,14 +50,15 @@ def _end_discovery(node: Node) -> None:
 
 @cache
 def _fast_dds() -> tuple[Callable[..., Any], ...] | None:
-    """Return the functions that lead from a node to the listener; None for other middlewares."""
-    if not os.environ.get(MIDDLEWARE, FAST_DDS).startswith(FAST_DDS):
-        return None
+    """Return the functions that lead from a node to the listener, of the libraries in use.
+
+    None if they are not there, as with another middleware or version.
+    """
     try:
         rcl, rmw, fast_dds = (ctypes.CDLL(f"lib{name}", os.RTLD_LAZY | os.RTLD_NOLOAD) for name in (
             "rcl.so", "rmw_fastrtps_cpp.so", "fastrtps.so.2.14"))
         functions = (rcl.rcl_node_get_rmw_handle, rmw[PARTICIPANT_OF_NODE], fast_dds[SET_LISTENER])
-    except (OSError, AttributeError):  # another version, which may not need it
+    except (OSError, AttributeError):
         return None
     for function in functions:
         function.restype = ctypes.c_void_p

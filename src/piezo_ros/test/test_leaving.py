@@ -41,10 +41,14 @@ def test_node_that_leaves_hears_of_no_other_node(new_node):
         leave(each)
 
 
-def test_node_of_another_middleware_leaves_as_usual(new_node, monkeypatch):
+@pytest.mark.parametrize("error", [OSError, AttributeError])
+def test_node_of_another_middleware_or_version_leaves_as_usual(new_node, monkeypatch, error):
+    def without(*_):
+        raise error
+
     node = new_node("other")
     leaving._fast_dds.cache_clear()
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+    monkeypatch.setattr(leaving.ctypes, "CDLL", without)
     leave(node)
     assert not node.context.ok()
     leaving._fast_dds.cache_clear()
