@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.conditioning.creep_removal import remove_creep
 from piezo_identification.conditioning.generator_edges import (
     GeneratorEdges,
     free_running_level,
@@ -24,7 +23,6 @@ from piezo_identification.conditioning.settling import (
 )
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
-    first_settled_step,
     played,
     samples_per_mean,
     square_part,
@@ -35,7 +33,7 @@ from piezo_identification.estimators.creep.square_wave_creep import (
     left_out_s,
     longest_step_s,
 )
-from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S
+from piezo_identification.estimators.dynamics.fast_estimate import first_used_row
 from piezo_identification.estimators.dynamics.generator_signals import (
     ROUNDS,
     edge_responses,
@@ -57,7 +55,6 @@ from piezo_identification.simulation.simulated_recording import (
     offset_and_decays,
 )
 from piezo_models.cascade import StageModel
-from piezo_models.linear.dynamics import CreepDynamics
 from piezo_recorder.reading.recording import Recording
 
 WITH_FREE_GAIN = ("creep", "dynamics")
@@ -144,7 +141,7 @@ def _of_square_wave(
     system, behind_s = behind_lags(model.linear(), lags)
     first = first_settled(model.dynamics, time_s, model.effects)
     if component == "dynamics":
-        first = max(first, _first_used(part, wave.steps, model.creep))
+        first = max(first, first_used_row(part, wave, model.creep))
     elif wave.steps.size >= FEWEST_STEPS:
         first = max(first, int(wave.steps[0]))
     good = good_samples(part)[first:]
@@ -214,16 +211,6 @@ def _generator_residual_um(
         by = weights[1 : 1 + moved.shape[1]] / weights[0]
         held = moved_edges(held, edges.directions @ by)
     return fitted()[1]
-
-
-def _first_used(part: Recording, steps: NDArray[np.intp], creep: CreepDynamics) -> int:
-    """Return the first sample used to estimate the dynamics, within the first half."""
-    earliest = int(np.searchsorted(part.time_s, WARM_UP_S))
-    quick_um = remove_creep(part.displacement_um, creep, part.sample_period_s)
-    settled = first_settled_step(quick_um, steps, earliest)
-    if settled > np.searchsorted(steps, earliest):
-        earliest = int(steps[settled])
-    return min(earliest, part.time_s.size // 2)
 
 
 def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BarycentricInterpolator
 from scipy.optimize import linprog
 
 from piezo_common.arrays import FloatArray
@@ -11,6 +12,9 @@ from piezo_identification.conditioning.waveforms import SquareWave
 
 FEWEST_EDGES = 6
 """Fewest changes of the level for which period, duty and time of the edges are estimated."""
+
+EARLY_EDGE = "early_edge"
+"""Column of a recording with `GeneratorEdges.early`, by which its simulation moves the edges."""
 
 LATE_EDGE = 0.1
 """Largest deviation of the edges from a constant period and duty, in sample periods."""
@@ -83,3 +87,37 @@ def free_running_level(wave: SquareWave) -> FloatArray | None:
     result[steps - 1] += 0.5 * (earlier + earlier**2) * change
     result[steps] += 0.5 * (earlier - earlier**2) * change
     return result
+
+
+def moved_between_rows(held: FloatArray, early: FloatArray, is_smooth: bool) -> FloatArray:
+    """Move changes of a signal to times between the rows that it is held for.
+
+    A change becomes several changes at the parts of the row before it, weighted as an interpolation
+    weights values there. A linear system, whose response is smooth, then responds as to the change
+    itself.
+
+    Parameters
+    ----------
+    held : ndarray, shape (N parts,)
+        Signal in equal parts of its rows.
+    early : ndarray, shape (N,)
+        Time from each change to the row that shows it, in rows; 0 in all other rows.
+    is_smooth : bool
+        Whether only a linear system follows: all parts within the row are then weighted, which
+        overshoots. Otherwise, the signal rises or falls in the part of the change.
+    """
+    parts = held.size // early.size
+    rows = np.flatnonzero(early)
+    if is_smooth:
+        nodes = np.arange(1, parts) / parts
+        weights = BarycentricInterpolator(nodes, np.eye(nodes.size))(early[rows])
+    else:
+        nodes = np.arange(1, parts + 1) / parts
+        weights = np.maximum(1.0 - parts * np.abs(early[rows, None] - nodes), 0.0)
+    before, after = held[parts * rows - 1], held[parts * rows]
+    # A part contains the changes at its own node and at all earlier ones.
+    reached = np.cumsum(weights[:, ::-1], axis=1)[:, ::-1]
+    moved = held.copy()
+    for part in range(nodes.size):
+        moved[parts * rows - 1 - part] = before + reached[:, part] * (after - before)
+    return moved

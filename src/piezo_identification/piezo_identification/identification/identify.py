@@ -38,6 +38,7 @@ from piezo_identification.identification.estimated_loops import (
     estimate_loops,
     new_loops,
 )
+from piezo_identification.identification.first_runs import without_first_runs
 from piezo_identification.identification.given_data import (
     Data,
     aligned,
@@ -183,7 +184,10 @@ def identify(
         report_single_loop(of_kind(steps.recordings, "hysteresis"), estimate, note)
         report_starts(steps.recordings, steps.cycled, linear, first_rise, note)
         fitted, read_at = fitted_together(
-            steps.fitted, conditioned, steps.read_at,
+            steps.fitted,
+            conditioned if first_rise else without_first_runs(
+                conditioned, linear, steps.fitted.model.hysteresis),
+            steps.read_at,
             partial(new_loops, conditioned, density, estimate) if of_kind(conditioned, "hysteresis")
             and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
         recordings, read_at = validation_as_read(

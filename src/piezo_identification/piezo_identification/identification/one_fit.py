@@ -10,10 +10,9 @@ import numpy as np
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.conditioning.generator_edges import generator_edges
 from piezo_identification.conditioning.row_alignment import LATEST_READING
 from piezo_identification.conditioning.segments import experiment_of
-from piezo_identification.conditioning.waveforms import played, square_part, two_levels
+from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import of_the_stage
@@ -36,6 +35,7 @@ from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, W
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail
+from piezo_identification.simulation.generator_rows import with_generator_edges
 from piezo_identification.simulation.past_search import is_long_enough
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
@@ -312,11 +312,6 @@ def fitted_together(
     used = _long_ones(fitted.model, {
         name: data for name, data in samples.items() if experiment_of(name) != "validation"})
     parts = {name: played(data) for name, data in used.items()}
-    waves = (two_levels(square_part(part)) for part in parts.values())
-    if any(wave is not None and generator_edges(wave) is not None for wave in waves):
-        note("the model is that of the separate steps: a generator that runs freely changes its "
-             "voltage between the rows, which only the steps consider")
-        return fitted, dict(read_at)
     # Rows read late are a negative delay, which the search may remove: a lag that belongs in front
     # of the hysteresis is often taken for them.
     late_s = 0.0 if responses else _late_s(read_at, parts)
@@ -325,10 +320,12 @@ def fitted_together(
         for name, data in samples.items()}
     delay_s = sum(effect.delay_s for effect in fitted.model.effects
                   if type(effect) is Delay) - late_s
+    late_of_used_s = [read_late_s[name] for name in used]
     try:
         problem = WholeModel(
-            fitted.model, list(used.values()),
-            [read_late_s[name] for name in parts], late_s,
+            fitted.model,
+            with_generator_edges(fitted.model, list(used.values()), late_of_used_s),
+            late_of_used_s, late_s,
             [ResponseSearch(of_the_stage(each, fitted.model)).measured_response()
              for each in responses])
     except ValueError as error:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.generator_edges import EARLY_EDGE, moved_between_rows
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
 from piezo_identification.conditioning.recording_start import rests_at_first
 from piezo_identification.conditioning.sensor_noise import repeated_period
@@ -116,7 +117,9 @@ class SimulatedRecording:
         self.outlier = ~good_samples(part)
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         joined_v, self._samples_before = with_voltage_before(recording, part)
-        self._joined = RowVoltage(joined_v)
+        early = part.columns.get(EARLY_EDGE)
+        self._joined = RowVoltage(joined_v, None if early is None else np.concatenate(
+            [np.zeros(self._samples_before), early]))
         self._rests_at_first = rests_at_first(recording)
         self.begin = 0 if self._rests_at_first else first_settled(
             model.dynamics, self.time_s, model.effects)
@@ -387,7 +390,9 @@ class SimulatedRecording:
             amplified_v, amplified_v[0], (*self.model.effects, *effects))
         output_um = hysteresis.simulate(within_v, memory)[count - 1 :: count]
         output_um += hysteresis.line_beyond_um(amplified_v)
-        return output_um
+        if effects or self.model.effects_at("voltage"):
+            return output_um  # `in_parts` has moved the edges of the voltage
+        return self._joined.with_early_edges(output_um, is_smooth=True)
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
         """Return the input of the linear part: the output of the hysteresis with its creep."""
@@ -476,6 +481,15 @@ class RowVoltage:
     """Recorded voltage of the rows, (N,)."""
 
     voltage_v: FloatArray
+    early: FloatArray | None = None
+    """Column `EARLY_EDGE` of a free-running generator, (N,); None for any other source."""
+
+    def with_early_edges(self, held: FloatArray, is_smooth: bool) -> FloatArray:
+        """Return a signal in parts of the rows with the edges of a generator, (N parts,)."""
+        if self.early is None:
+            return held
+        has_parts = held.size > self.early.size
+        return moved_between_rows(held, self.early, is_smooth and has_parts)
 
     @cached_property
     def means_v(self) -> FloatArray:
@@ -505,4 +519,7 @@ def in_parts(voltage: RowVoltage, effects: Collection[Effect], sample_period_s: 
     if is_smooth and samples_per_mean == 1:
         return voltage.means_v, PARTS
     parts = parts_of_rows(effects, sample_period_s, samples_per_mean)
-    return np.repeat(voltage.voltage_v, parts), parts
+    if voltage.early is not None and samples_per_mean == 1:
+        parts = PARTS
+    held = np.repeat(voltage.voltage_v, parts)
+    return (voltage.with_early_edges(held, is_smooth=False) if effects else held), parts

@@ -166,6 +166,16 @@ def _is_periodic(part: Recording, wave: SquareWave) -> bool:
     return steps.size >= 3 and bool(np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]))
 
 
+def first_used_row(part: Recording, wave: SquareWave, creep: CreepDynamics) -> int:
+    """Return the first row of a square wave that is used, within the first half."""
+    earliest = int(np.searchsorted(part.time_s, WARM_UP_S))
+    quick_um = remove_creep(part.displacement_um, creep, part.sample_period_s)
+    settled = first_settled_step(quick_um, wave.steps, earliest)
+    if settled > np.searchsorted(wave.steps, earliest):
+        earliest = int(wave.steps[settled])
+    return min(earliest, part.time_s.size // 2)
+
+
 def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
     """Return the mean period of a periodic square wave with the creep removed."""
     part = square_part(played_at_the_clock(recording))
