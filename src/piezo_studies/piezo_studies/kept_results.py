@@ -8,12 +8,9 @@ from typing import Any
 
 
 class KeptResults:
-    """Results in a file, one JSON document a line, with what each is of.
+    """Results in a file, one JSON document a line, with what each is of and its conditions.
 
-    Parameters
-    ----------
-    conditions : dict, optional
-        Conditions as plain values. Results of other conditions stay in the file and are ignored.
+    Results of other conditions stay in the file and are ignored.
     """
 
     def __init__(self, path: Path, conditions: Mapping[str, Any] | None = None) -> None:

@@ -9,20 +9,10 @@ from pathlib import Path
 def with_sections(page: str, sections: Mapping[str, str], kind: str = "") -> str:
     """Return a page with its marked sections replaced.
 
-    A section is between the lines ``<!-- NAME -->`` and ``<!-- end -->``.
-
-    Parameters
-    ----------
-    sections : mapping of str to str
-        Text of each section, ending with a new line, by the name in its mark.
-    kind : str
-        Common beginning of the names of sections that must all be given. By default, only the
-        given sections are replaced.
-
-    Raises
-    ------
-    ValueError
-        If a section is missing in the page, occurs twice, or is not given.
+    The texts end with a new line and are given by the names in the marks. A section is between the
+    lines ``<!-- NAME -->`` and ``<!-- end -->``. All sections whose names begin with `kind` must be
+    given; by default, only the given ones are replaced. ValueError is raised if a section is
+    missing in the page, occurs twice, or is not given.
     """
     names = re.escape(kind) + "[^\n]+?" if kind else "|".join(map(re.escape, sections))
     marked = re.compile(rf"(<!-- ({names}) -->\n).*?(<!-- end -->)", re.S)

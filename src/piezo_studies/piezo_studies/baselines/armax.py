@@ -31,19 +31,9 @@ def identify_subspace(
     A long autoregression gives the Markov parameters of the predictor. The states are the singular
     vectors of the future output predicted from the past, and two regressions give the matrices
     (Chiuso, "The role of vector autoregressive modeling in predictor-based subspace
-    identification", 2007).
-
-    Parameters
-    ----------
-    input, output : ndarray, shape (N,)
-        Signals without offset; the output responds after one sample at the earliest.
-    order : int
-        Number of states.
-
-    Raises
-    ------
-    ValueError
-        If the record is too short for the order.
+    identification", 2007). The signals, (N,), have no offset, and the output responds after one
+    sample at the earliest. A record too short for the order, the number of states, raises
+    ValueError.
     """
     past = max(40, 4 * order)  # rows of the autoregression
     rows = output.size - past
@@ -116,27 +106,15 @@ def fit_armax(
     input: FloatArray, output: FloatArray, na: int, nb: int, nc: int,
     drift: FloatArray | None = None,
 ) -> Armax:
-    """Fit an ARMAX model by minimizing the error of its one-step prediction.
+    """Fit an ARMAX model with `na`, `nb` and `nc` coefficients of A, B and C to two signals, (N,).
 
-    The method is Gauss-Newton with Levenberg-Marquardt damping and the exact Jacobian. White noise
-    on the output makes C equal to A, whose roots are near the unit circle for fast sampling.
-    Extended least squares and other starts diverge there; a subspace start does not. From it, the
-    model with C = A is fitted first, then C is freed. The initial state of the filter is fitted,
-    too.
-
-    Parameters
-    ----------
-    input, output : ndarray, shape (N,)
-    na, nb, nc : int
-        Orders: numbers of coefficients of A, B and C.
-    drift : ndarray, shape (N, K), optional
-        Further regressors of the output: constants and exponentials in time, whose form a filter
-        does not change; by default a constant.
-
-    Raises
-    ------
-    ValueError
-        If the record is too short.
+    It minimises the error of the one-step prediction by Gauss-Newton steps with Levenberg-Marquardt
+    damping and the exact Jacobian. White noise on the output makes C equal to A, whose roots are
+    near the unit circle for fast sampling. Extended least squares and other starts diverge there; a
+    subspace start does not. From it, the model with C = A is fitted first, then C is freed. The
+    initial state of the filter is fitted, too. The drift, (N, K), has further regressors of the
+    output: constants, as by default, and exponentials in time, whose form a filter does not change.
+    A record that is too short raises ValueError.
     """
     orders = (na, nb, nc)
     drift = np.ones((output.size, 1)) if drift is None else drift

@@ -26,29 +26,12 @@ def estimate_dynamics_armax(
     recording: Recording, creep: CreepDynamics, hysteresis: PreisachModel,
     orders: tuple[int, int, int], mode_count: int,
 ) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
-    """Estimate the electric lag and the vibration modes by an ARMAX model.
+    """Estimate lag and modes by an ARMAX model; return them with their standard deviations.
 
-    The creep is removed by its inverse; the hysteresis gives the input of the dynamics.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recording at the full sample clock.
-    orders : (int, int, int)
-        Numbers of coefficients na, nb and nc, such as the thesis' (5, 6, 5) or (5, 1, 5).
-    mode_count : int
-        Number of modes to keep; poles that contribute least to the response are dropped.
-
-    Returns
-    -------
-    model : ElectricVibrationDynamics
-    standard_deviations : dict
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, is averaged or too short, or does not suit the hysteresis, or
-        the orders are too low for the modes.
+    The orders are (na, nb, nc), such as the thesis' (5, 6, 5) or (5, 1, 5). The creep is removed by
+    its inverse; the hysteresis gives the input of the dynamics. Poles that contribute least to the
+    response are dropped. ValueError is raised if the recording has gaps, is averaged or too short,
+    or does not suit the hysteresis, or if the orders are too low for the modes.
     """
     part = played_at_the_clock(recording)
     entering_um = through_hysteresis(recording, part, hysteresis)
@@ -63,24 +46,9 @@ def estimate_dynamics_armax(
 def dynamics_of_armax(
     armax: Armax, input: FloatArray, sample_period_s: float, mode_count: int,
 ) -> tuple[ElectricVibrationDynamics, dict[str, Any]]:
-    """Return electric lag and modes of an ARMAX model, with standard deviations.
+    """Return the lag and the modes that contribute most to the output, with standard deviations.
 
-    Parameters
-    ----------
-    input : ndarray, shape (N,)
-        Input of the record.
-    mode_count : int
-        Number of modes to keep; the lag and the modes that contribute most to the output are kept.
-
-    Returns
-    -------
-    model : ElectricVibrationDynamics
-    standard_deviations : dict
-
-    Raises
-    ------
-    ValueError
-        If the poles do not suffice.
+    The input, (N,), is that of the record. ValueError is raised if the poles do not suffice.
     """
     denominator = armax.autoregressive
     kept = _strongest_poles(armax, input, mode_count)

@@ -11,26 +11,12 @@ def remove_polynomial_drift(
     time_s: FloatArray, displacement_um: FloatArray, rest_samples: NDArray[np.intp],
     degree: int = 2,
 ) -> tuple[FloatArray, np.polynomial.Polynomial]:
-    """Remove a polynomial through the samples at rest, eq. (3.21).
+    """Remove a polynomial through the samples at rest, eq. (3.21), from a displacement, (N,).
 
-    Parameters
-    ----------
-    time_s, displacement_um : ndarray, shape (N,)
-    rest_samples : ndarray of int
-        Samples with equal memory, such as the starts of the harmonics at negative saturation;
-        differences between them are drift.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Displacement without drift, unchanged at the first sample at rest.
-    numpy.polynomial.Polynomial
-        The drift in um as a function of time in s.
-
-    Raises
-    ------
-    ValueError
-        If there are too few samples at rest.
+    The samples at rest have equal memory, such as the starts of the harmonics at negative
+    saturation, so that differences between them are drift. The displacement, unchanged at the first
+    of them, is returned with the drift in um as a function of time in s. Too few of them raise
+    ValueError.
     """
     if len(rest_samples) <= degree:
         raise ValueError(

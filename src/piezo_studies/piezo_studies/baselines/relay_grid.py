@@ -105,10 +105,7 @@ def _add_strip(areas: FloatArray, levels: FloatArray, beta_low: float, beta_high
 def cell_centre_relays(model: PreisachModel) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return relays at the cell centres of a model, each with the weight of its cell, eq. (2.2).
 
-    Returns
-    -------
-    alpha_v, beta_v, weight_um : (L(L + 1)/2,) arrays
-        Upper thresholds, lower thresholds and weights.
+    They are alpha (V), beta (V) and weight (um), (L(L + 1)/2,) each.
     """
     i, j = np.tril_indices(model.density_um_per_v2.shape[0])
     centres = (model.levels_v[:-1] + model.levels_v[1:]) / 2
@@ -120,22 +117,10 @@ def cell_centre_relays(model: PreisachModel) -> tuple[FloatArray, FloatArray, Fl
 
 def simulate_relays(voltage_v: ArrayLike, alpha_v: ArrayLike, beta_v: ArrayLike,
                     weight_um: ArrayLike, offset_um: float = 0.0) -> FloatArray:
-    """Return the sum of weighted relays, all off at the start, by updating each at each sample.
+    """Return the sum (um), (N,), of weighted relays, (R,), by updating each of them at each sample.
 
-    A relay switches on when the voltage reaches its alpha and off when it falls below its beta.
-
-    Parameters
-    ----------
-    voltage_v : (N,) array_like
-    alpha_v, beta_v, weight_um : (R,) array_like
-        Thresholds, alpha_v >= beta_v, and weights of the relays.
-    offset_um : float
-        Output with all relays off.
-
-    Returns
-    -------
-    (N,) array
-        Output in um.
+    A relay switches on when the voltage reaches its alpha and off when it falls below its beta; all
+    are off at the start, where the output is the offset.
     """
     voltage, alpha, beta, weight = (
         np.ascontiguousarray(x, dtype=float) for x in (voltage_v, alpha_v, beta_v, weight_um))

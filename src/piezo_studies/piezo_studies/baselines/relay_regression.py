@@ -12,20 +12,10 @@ ROWS_AT_ONCE = 2000
 
 def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
                on: BoolArray | None = None) -> FloatArray:
-    """Return the states of the relays at the cell centres, eq. (2.3), one row per voltage.
+    """Return the states, 0 or 1, of the relays at the cell centres, eq. (2.3), a row per voltage.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-        Edges of the cells.
-    on : ndarray of bool, shape (L (L + 1) / 2,), optional
-        State of the relays before the first voltage, updated in place; all off by default.
-
-    Returns
-    -------
-    ndarray, shape (N, L (L + 1) / 2)
-        States 0 or 1 in the order of the cells: i-major with j <= i.
+    The levels, (L + 1,), are the edges of the cells, whose order is i-major with j <= i. The states
+    before the first voltage, (L (L + 1) / 2,), are updated in place; all are off by default.
     """
     # A voltage equal to a threshold must reach it in spite of rounding.
     centres_v = 0.5 * (levels_v[:-1] + levels_v[1:]) - 1e-9 * (levels_v[-1] - levels_v[0])
@@ -41,17 +31,7 @@ def relay_rows(voltage_v: FloatArray, levels_v: FloatArray,
 
 
 class NormalEquations:
-    """Sums M of A_k^T A_k and of A_k^T f(k) over samples, eq. (2.7); A itself is not stored.
-
-    Attributes
-    ----------
-    matrix : ndarray, shape (unknowns, unknowns)
-        Matrix M = A^T A.
-    right_side : ndarray, shape (unknowns,)
-        Right side A^T Y.
-    count : int
-        Number of samples.
-    """
+    """Sums M = A^T A and A^T Y over samples, eq. (2.7); A itself is not stored."""
 
     def __init__(self, unknowns: int) -> None:
         self.matrix = np.zeros((unknowns, unknowns))
@@ -59,13 +39,7 @@ class NormalEquations:
         self.count = 0
 
     def add(self, rows: FloatArray, output: FloatArray) -> None:
-        """Add samples to the normal equations.
-
-        Parameters
-        ----------
-        rows : ndarray, shape (N, unknowns)
-        output : ndarray, shape (N,)
-        """
+        """Add samples: rows of A, (N, unknowns), and their outputs, (N,)."""
         self.matrix += rows.T @ rows
         self.right_side += rows.T @ output
         self.count += len(output)
@@ -73,15 +47,10 @@ class NormalEquations:
 
 def accumulate(voltage_v: FloatArray, output_um: FloatArray, levels_v: FloatArray,
                samples: NDArray[np.intp] | None = None) -> NormalEquations:
-    """Sum the normal equations of a whole recording on the relay grid, block by block.
+    """Sum the normal equations of a recording, from negative saturation on, block by block.
 
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (N,)
-        Voltage and output from negative saturation on.
-    levels_v : ndarray, shape (L + 1,)
-    samples : ndarray of int, optional
-        Increasing indices of the samples to use; all by default. Every voltage acts on the relays.
+    Only the samples with the given increasing indices are used, but every voltage acts on the
+    relays.
     """
     size = levels_v.size - 1
     equations = NormalEquations(size * (size + 1) // 2)
@@ -101,13 +70,8 @@ def accumulate(voltage_v: FloatArray, output_um: FloatArray, levels_v: FloatArra
 def excitation_rank(voltage_v: FloatArray, levels_v: FloatArray) -> int:
     """Return the rank of the regression on the relay grid: the number of identifiable densities.
 
-    Persistent excitation, appendix A.2, requires L (L + 1) / 2.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-        Voltage of the samples used, from negative saturation on.
-    levels_v : ndarray, shape (L + 1,)
+    Persistent excitation, appendix A.2, requires L (L + 1) / 2. The voltages, (N,), are those of
+    the samples used, from negative saturation on; the levels are (L + 1,).
     """
     different = set()
     on = np.zeros((levels_v.size - 1) * levels_v.size // 2, dtype=bool)
@@ -122,23 +86,8 @@ def projection(rows: FloatArray, output: FloatArray, gain: float = 0.5,
                floor: float = 1.0) -> FloatArray:
     """Update an estimate, which begins at zero, with each sample by a step along its row (2.27).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (N, n)
-    output : ndarray, shape (N,)
-    gain : float
-        Gain gamma_L, between 0 and 1.
-    floor : float
-        Constant theta, above 0.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-
-    Raises
-    ------
-    ValueError
-        If gain or floor are out of their ranges.
+    The rows are (N, n), the gain gamma_L is between 0 and 1, and the floor theta above 0; other
+    numbers raise ValueError.
     """
     if not 0.0 < gain < 1.0 or not floor > 0.0:
         raise ValueError(

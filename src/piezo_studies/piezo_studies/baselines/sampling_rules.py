@@ -18,19 +18,9 @@ between levels; it is more than half a step of any converter."""
 def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np.intp]:
     """Choose the samples nearest to the levels: the input-based sampling rule (4.9)-(4.10).
 
-    Between two reversals, one sample is chosen for each level, where the voltage is nearest to it.
-    L harmonics of rising amplitude from level 0 give L (L + 1) + 1 samples.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (L + 1,)
-        Uniformly increasing levels.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing sample numbers.
+    Between two reversals, one sample is chosen for each of the uniform levels, (L + 1,), where the
+    voltage is nearest to it. L harmonics of rising amplitude from level 0 give L (L + 1) + 1
+    samples.
     """
     spacing_v = levels_v[1] - levels_v[0]
     points = turning_points(voltage_v, SMALLEST_BRANCH * spacing_v)
@@ -53,20 +43,12 @@ def sample_by_voltage(voltage_v: FloatArray, levels_v: FloatArray) -> NDArray[np
 def stair_sample_times(
     amplitudes_v: FloatArray, harmonic_period_s: float, voltages_v: FloatArray,
 ) -> FloatArray:
-    """Return the times at which the harmonics cross given voltages, (3.9)-(3.10) and (4.10).
+    """Return the increasing times at which harmonics cross given voltages, (3.9)-(3.10) and (4.10).
 
-    Parameters
-    ----------
-    amplitudes_v : ndarray, shape (L,)
-    voltages_v : ndarray
-        Increasing voltages above zero: multiples of the step for (4.10); middles of the steps for
-        (3.9)-(3.10), whose amplitudes are middles, too.
-
-    Returns
-    -------
-    ndarray
-        Increasing times from 0 on. Each harmonic gives one time for every voltage that it reaches
-        while it rises and while it falls, one for its peak, and one for its return to zero.
+    The voltages increase from above zero: multiples of the step for (4.10); middles of the steps
+    for (3.9)-(3.10), whose amplitudes are middles, too. From time 0 on, each harmonic gives one
+    time for every voltage that it reaches while it rises and while it falls, one for its peak, and
+    one for its return to zero.
     """
     times_s = [np.zeros(1)]
     for i, amplitude_v in enumerate(amplitudes_v):

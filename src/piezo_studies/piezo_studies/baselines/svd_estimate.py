@@ -66,19 +66,9 @@ class TruncatedSvd:
 
 def truncated_svd(equations: NormalEquations, ratio: float = 1e-3,
                   rank: int | None = None) -> TruncatedSvd:
-    """Truncate the normal equations at a ratio of singular values, (2.8)-(2.11).
+    """Keep `rank` singular values, or those above a ratio of the largest, (2.8)-(2.11).
 
-    Parameters
-    ----------
-    ratio : float
-        Singular values up to this fraction of the largest are dropped.
-    rank : int, optional
-        Number of singular values to keep, instead of the ratio.
-
-    Raises
-    ------
-    ValueError
-        If no singular value is kept.
+    ValueError is raised if none is kept.
     """
     values, vectors = np.linalg.eigh(equations.matrix)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
@@ -102,20 +92,10 @@ class SvdEstimate(DensityEstimate):
 
 def density_by_svd(decomposition: TruncatedSvd, voltage_v: FloatArray,
                    levels_v: FloatArray) -> SvdEstimate:
-    """Return the density of the decomposition in the common form of all estimators.
+    """Return the density of a decomposition on the relay grid in the common form of estimates.
 
-    Parameters
-    ----------
-    decomposition : TruncatedSvd
-        Decomposition for the relay grid.
-    voltage_v : ndarray, shape (N,)
-        Voltage of the samples used, which gives the visited cells.
-    levels_v : ndarray, shape (L + 1,)
-
-    Returns
-    -------
-    SvdEstimate
-        Density; the part not determined by any sample has minimum norm.
+    The voltages, (N,), of the samples used give the visited cells; the part of the density that no
+    sample determines has minimum norm.
     """
     size = levels_v.size - 1
     area_v2 = (levels_v[1] - levels_v[0]) ** 2 * (np.ones((size, size)) - 0.5 * np.eye(size))

@@ -29,13 +29,9 @@ BEYOND_UM = 10.0
 
 def images_of_grating(model: CoupledModel | IdentifiedAxes, lines: int = LINES,
                       rate_hz: float = RATE_HZ) -> tuple[dict[str, ScanImage], Field]:
-    """Scan a grating without an inverse and with that of a model.
+    """Scan a grating without an inverse and with that of a model; return images and specimen.
 
-    Returns
-    -------
-    images : dict of str to ScanImage
-        By commanded and by measured positions.
-    specimen : Field
+    Each scan gives one image by commanded and one by measured positions.
     """
     plan = scan(model, "raster", size_um=(SIZE_UM, SIZE_UM), lines=lines, rate_hz=rate_hz,
                 voltage_range_v=VOLTAGE_RANGE_V)

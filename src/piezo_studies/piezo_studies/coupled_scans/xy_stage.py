@@ -43,14 +43,10 @@ LINEAR = ("electric_lag",)
 
 
 def recorded(name: str, seed: int, plant: AxesPlantConfig | None = None) -> list[AxesRecording]:
-    """Record the experiments of one name, each with the stage fresh from rest.
+    """Record the experiments of one name on a plant, each with the stage fresh from rest.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the sensors' noise in the first recording; each further one has the next seed.
-    plant : AxesPlantConfig, optional
-        By default that of the study.
+    The seed is that of the sensors' noise in the first recording; each further one has the next
+    seed.
     """
     return [_recorded(experiment, seed + number, plant or plant_of_study())
             for number, experiment in enumerate(axes_experiments(name, LIMITS))]
@@ -103,12 +99,7 @@ def identified() -> IdentifiedAxes:
 def followed(scan: StoredScan, periods: int, mean_of: int = 1) -> Scanned:
     """Play a path on the stage, fresh from rest, and return how it was followed.
 
-    Parameters
-    ----------
-    periods : int
-        Played before those that count.
-    mean_of : int
-        Periods whose mean counts, which has less noise.
+    After `periods`, the mean of `mean_of` periods counts, which has less noise.
     """
     stage = moving(scan, periods, SimulatedStage(plant_of_study(), SEED))
     displacement_um = np.mean([stage.exchange(scan.voltage_v) for _ in range(mean_of)], axis=0)

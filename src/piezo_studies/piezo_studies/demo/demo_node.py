@@ -117,22 +117,11 @@ class WatchfulClient(Client):
 
 
 def run_demo(plant, directory, command, progress, show_summary, has_second_part=True):
-    """Run the demo.
+    """Run the demo, and write recordings, models, reports and logs into its directory.
 
-    Parameters
-    ----------
-    directory : Path
-        Directory for the recordings, ``model.json``, ``summary.json``, ``report.html``, the figure
-        ``tracking.png`` and the logs.
-    show_summary : callable
-        Called with the summary of the first part after its report was written.
-    has_second_part : bool
-        Whether to run the second part; see `operation` and `diagnosed_scan`.
-
-    Raises
-    ------
-    DemoFailed
-        If a node fails or ends.
+    `show_summary` is called with the summary of the first part after its report was written. For
+    the second part see `operation` and `diagnosed_scan`. DemoFailed is raised if a node fails or
+    ends.
     """
     begin_s = time.monotonic()
     os.environ["ROS_DOMAIN_ID"] = str(random.SystemRandom().choice(DOMAIN_IDS))

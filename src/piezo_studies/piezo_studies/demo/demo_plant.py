@@ -39,17 +39,9 @@ class DemoPlant:
 
 
 def demo_plant(plant: str = USUAL) -> DemoPlant:
-    """Describe the plant of a demo.
+    """Describe the plant of a demo: one of the simulator, by its name, or a plant file.
 
-    Parameters
-    ----------
-    plant : str
-        Name of a plant that comes with the simulator, or path of a plant file.
-
-    Raises
-    ------
-    piezo_sim.plant.plant_effect.PlantConfigError
-        If there is no such plant, or its file cannot be used.
+    PlantConfigError is raised if there is no such plant, or its file cannot be used.
     """
     read_plant(plant)
     if plant in PLANTS:

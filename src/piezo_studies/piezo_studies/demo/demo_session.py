@@ -20,15 +20,7 @@ def rest(client, voltage_v):
 class RunningGoal:
     """A goal that runs in parallel with others of the same client.
 
-    Parameters
-    ----------
-    show : callable
-        Called with each feedback message while this goal is waited for.
-
-    Attributes
-    ----------
-    stage : str
-        Stage in the last feedback.
+    Its `stage` is that of the last feedback. Each feedback is shown while this goal is waited for.
     """
 
     def __init__(self, client, name, show, **fields):
@@ -51,13 +43,7 @@ class RunningGoal:
         return condition()
 
     def result(self):
-        """Wait for the end of the action, and return its result.
-
-        Raises
-        ------
-        GoalFailed
-            If the action failed.
-        """
+        """Wait for the end of the action, and return its result; raise GoalFailed if it failed."""
         self.wait_until(self._ended.done)
         message = self._ended.result().result
         if not message.success:
@@ -68,14 +54,8 @@ class RunningGoal:
 class Session:
     """Running nodes; the stage can be restarted with another plant.
 
-    Parameters
-    ----------
-    processes : piezo_bringup.processes.Processes
-        Processes with a running ``stage``.
-    stage_parameters : dict
-        Parameters of the stage node except its plant.
-    rest_v : sequence of float
-        Voltages before each run, for a second each.
+    All other parameters of the stage stay the same. Before each run the stage rests at each of the
+    voltages `rest_v` for a second.
     """
 
     def __init__(self, client, processes, stage_parameters, rest_v, is_active, show):
@@ -94,13 +74,7 @@ class Session:
         self._processes.start("stage", {**self._stage_parameters, "plant": plant})
 
     def wait_for_stage(self):
-        """Wait until the restarted stage is active.
-
-        Raises
-        ------
-        RuntimeError
-            If it is not active in time.
-        """
+        """Wait until the restarted stage is active; RuntimeError if it is not in time."""
         self._show("start the stage on another plant")
         if not self.client.spin_until(self._is_active, START_TIMEOUT_S):
             raise RuntimeError(f"the stage was not active within {START_TIMEOUT_S:g} s; "
@@ -115,11 +89,7 @@ class Session:
 
         The monitor discovers the stage and the model of the controller some time after their start,
         when a run in lockstep may already be over. Samples may also be lost on the way to it.
-
-        Raises
-        ------
-        RuntimeError
-            If the monitor does not follow the stage.
+        RuntimeError is raised if it does not follow.
         """
         self._show("wait for the monitor")
         follows = False

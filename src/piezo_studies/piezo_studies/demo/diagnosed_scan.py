@@ -50,10 +50,7 @@ class DiagnosedScan:
 def diagnosed_scan(directory: Path, lines: int = LINES) -> DiagnosedScan:
     """Identify the XY stage, scan a grating with a fault, diagnose this scan, and scan again.
 
-    Parameters
-    ----------
-    directory : Path
-        Folder for the models, the verdict, the images and their page.
+    Models, verdict, images and their page are written into the directory.
     """
     plant = linear_plant()
     identified = identify_several_axes(recorded("multisine", 1, plant))

@@ -72,11 +72,8 @@ class Decided:
 def start_changing_stage(session, plant, directory):
     """Start the stage on which a mode becomes faster, and the monitor, without waiting for them.
 
-    Returns
-    -------
-    float or None
-        Stage time of the change; None if the plant has no mode that can change, and nothing is
-        started.
+    The stage time of the change is returned; None if the plant has no mode that can change, and
+    nothing is started.
     """
     change_s = (MEETINGS + 1) * session.rest_s + CHANGE_AFTER_S
     content = with_faster_mode(plant, FASTER, change_s)
@@ -91,11 +88,7 @@ def monitor_a_change(session, change_s, model, directory):
     """Track while a mode becomes faster, and accept the model that the monitor then offers.
 
     The stage was started, and the time of the change returned, by `start_changing_stage`.
-
-    Raises
-    ------
-    RuntimeError
-        If the monitor offers nothing.
+    RuntimeError is raised if the monitor offers nothing.
     """
     session.wait_for_stage()
     session.let_monitor_follow()

@@ -9,25 +9,11 @@ MARK = "run.json"
 
 
 def claim_directory(path, command):
-    """Make a directory for a run.
+    """Make a directory for a run, and store the command line of the user in it.
 
     An empty directory is used as it is. A directory of an earlier run is renamed with the start
-    time of that run, so that no recording is overwritten.
-
-    Parameters
-    ----------
-    command : str
-        Command line of the user, stored in ``run.json`` of the directory.
-
-    Returns
-    -------
-    earlier : Path or None
-        New path of the earlier run.
-
-    Raises
-    ------
-    ValueError
-        If the directory holds anything but an earlier run, or cannot be created.
+    time of that run, so that no recording is overwritten; its new path is returned. ValueError is
+    raised if the directory holds anything else, or cannot be created.
     """
     path = Path(path)
     try:

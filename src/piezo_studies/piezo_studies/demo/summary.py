@@ -28,20 +28,10 @@ NONE = "-"
 
 
 def summarise(runs, identification, directory):
-    """Summarise the demo.
+    """Return the summary of runs, with the errors of the model on unseen data by name.
 
-    Parameters
-    ----------
-    identification : dict of str to float
-        Errors of the model on unseen data, by name.
-    directory : path-like
-        Directory to which the paths of recordings are relative.
-
-    Returns
-    -------
-    dict
-        Summary with the keys ``tracking``, with one entry for each run, ``identification``, and
-        ``lockstep_ratio``, the simulated seconds per wall second in all runs with feedback.
+    Paths of recordings are relative to the directory. ``lockstep_ratio`` is the simulated seconds
+    per wall second in all runs with feedback.
     """
     return {
         "tracking": [summarise_run(run, directory) for run in runs],

@@ -52,17 +52,9 @@ class TrackedRun:
 
 
 def read_tracked_run(path):
-    """Read the recording of a ``track`` action with a harmonic reference.
+    """Read the rosbag2 directory of a ``track`` action with a harmonic reference.
 
-    Parameters
-    ----------
-    path : path-like
-        Path of the rosbag2 directory.
-
-    Raises
-    ------
-    ValueError
-        If samples or parameters are missing.
+    ValueError is raised if samples or parameters are missing.
     """
     recording = read_recording(path)
     parameters = _parameters(recording)

@@ -9,14 +9,9 @@ from piezo_studies.tables import markdown_table
 
 
 def write_section(page, document):
-    """Replace the section in a page by that of a content of `table.json`, and its picture.
+    """Replace the section `short cases` or `long cases` of a page by that of a `table.json`.
 
-    The sections are `short cases` and `long cases`.
-
-    Raises
-    ------
-    ValueError
-        If the page has no such section.
+    Its picture is drawn, too. ValueError is raised if the page has no such section.
     """
     kind, results = document["kind"], document["results"]
     length, found = "short" if kind == "short" else "long", calibrate(results)

@@ -13,19 +13,11 @@ from piezo_models.effects import fitted_values, with_fitted_values
 
 
 def nearest_parameters(effect, without_um, added_um, sample_period_s, regression):
-    """Return the parameters with which an effect approximates a hidden one best.
+    """Return the parameters with which an effect of the named form approximates a hidden one best.
 
-    The plant is known and free of noise, so the parameters contain neither model errors nor errors
-    from fitting noise.
-
-    Parameters
-    ----------
-    effect : piezo_models.effects.effect.Effect
-        Effect of the named form, which acts after the stage; the search begins with it.
-    without_um, added_um : (N,) array
-        Response of the plant without the hidden effect, and the contribution of that effect.
-    regression : Regression
-        Regression on one recording of these samples, which gives rows, weights and regressors.
+    The response of the plant without the hidden effect, and the contribution of that effect, (N,)
+    each, are free of noise, so the parameters contain neither model errors nor errors from fitting
+    noise. The regression on one recording of these samples gives rows, weights and regressors.
     """
     rows, = regression.dataset.rows
     values, low, high = fitted_values(effect, regression.dataset.extent)
@@ -59,18 +51,9 @@ with a wandering phase."""
 def estimates(cause, effect, entries, nearest=None):
     """Return the parameters of a hidden effect together with their estimates.
 
-    Parameters
-    ----------
-    nearest : dict of str to float, optional
-        Parameters of the named effect that approximate the hidden one best, if the forms differ;
-        see `nearest_effect`.
-
-    Returns
-    -------
-    list of dict
-        Entries with `name`, `drawn`, `true`, `found` and `standard_deviation` of each comparable
-        parameter; empty if the effect was not named. The true value is that of `nearest` if given,
-        and the drawn one otherwise.
+    Each comparable parameter has an entry with `name`, `drawn`, `true`, `found` and
+    `standard_deviation`; there is none if the effect was not named. The true value is that of
+    `nearest_parameters` if these are given, and the drawn one otherwise.
     """
     entry = next((entry for entry in entries if entry["name"] == cause), None)
     if entry is None or "standard_deviations" not in entry:

@@ -242,18 +242,11 @@ CAUSES_OUTSIDE = {
 def respond(
     plant: PlantConfig, voltage_v: np.ndarray, surroundings: Surroundings, clock_samples: int
 ) -> np.ndarray:
-    """Simulate the plant at a multiple of the sample rate; return the displacement at the samples.
+    """Simulate a plant at a multiple of the sample rate; return its displacement, (N,).
 
-    The fine simulation includes motion between slow samples, such as the response to a jump.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-        Voltages, each held for a sample of the record.
-    surroundings : Surroundings
-        Surroundings with the sample period of the record.
-    clock_samples : int
-        Samples of the stage's clock for each sample of the record.
+    Each voltage is held for `clock_samples` of the stage's clock, so that motion between slow
+    samples acts, such as the response to a jump. The surroundings have the sample period of the
+    record.
     """
     clock_s = surroundings.sample_period_s / clock_samples
     clock = dataclasses.replace(surroundings, sample_period_s=clock_s)
@@ -285,32 +278,11 @@ def draw_effect(
     seed: int,
     clock_samples: int = 1,
 ) -> DrawnEffect:
-    """Draw an effect that contributes a multiple of the sensor's noise to a record.
+    """Draw an effect that contributes a multiple of the sensor's noise to a record, within 1 %.
 
-    Parameters
-    ----------
-    cause : str
-        A key of `CAUSES` or of `CAUSES_OUTSIDE`.
-    plant : PlantConfig
-        Plant to which the effect is added; it may already have drawn effects.
-    voltage_v : ndarray, shape (N,)
-        Voltage of the record.
-    surroundings : Surroundings
-        Sample period, rest voltage and seed with which the record will be played.
-    noise_multiple : float
-        RMS of the contribution, its mean removed, over the RMS of the sensor's noise.
-    clock_samples : int
-        Samples of the stage's clock for each sample of the record; see `respond`.
-
-    Returns
-    -------
-    DrawnEffect
-        The effect, within 1 % of the wanted contribution, and the plant with it.
-
-    Raises
-    ------
-    DrawError
-        If no strength of the effect gives this contribution.
+    The contribution is compared by its RMS, without its mean. The plant may already have drawn
+    effects; the voltages, (N,), and the surroundings are those with which the record will be
+    played. DrawError is raised if no strength of the effect gives this contribution.
     """
     recipe = (CAUSES | CAUSES_OUTSIDE)[cause]
     without_um = response_um(plant, voltage_v, surroundings, clock_samples)

@@ -68,12 +68,8 @@ def clean_model(seed, plant):
 def run_case(case, clean, experiments=0):
     """Record a drawn case, diagnose it, and return the result, which no machine changes.
 
-    Parameters
-    ----------
-    clean : (IdentifiedModel, tuple of Recording)
-        Model and recordings of the plant without effects; see `identified_model`.
-    experiments : int
-        Most proposed recordings that may be made if alternatives remain.
+    `clean` is the result of `clean_model`. Some proposed recordings may be made if alternatives
+    remain.
     """
     plant = draw_plant((case.seed, case.plant))
     experiment = records.KINDS[case.kind](case.random("waveform"), case.slow)

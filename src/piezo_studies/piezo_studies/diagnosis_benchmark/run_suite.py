@@ -27,22 +27,11 @@ DRAWS = {"long": draw_cases, "all-along": draw_cases_all_along, "short": draw_sh
 
 def run_suite(client, count, seed, progress=None, kind="long", experiments=0, first=None,
               kept=None):
-    """Run the suite; its result does not depend on the machine.
+    """Run `count` cases of a kind, a key of `DRAWS`; the result does not depend on the machine.
 
-    Parameters
-    ----------
-    count, seed : int
-        Number of cases, and the seed of everything random.
-    progress : callable, optional
-        Called with the number of cases done.
-    kind : str
-        A key of `DRAWS`.
-    experiments : int
-        Most proposed recordings in each case; not for short ones.
-    first : int, optional
-        Number of cases to run, in the order in which they are drawn; by default all.
-    kept : KeptResults, optional
-        Store in which results are saved at once, and from which the run is resumed.
+    By default all cases are run, else the `first` ones in the order in which they are drawn. In
+    each but short ones some proposed recordings may be made. `progress` is called with the number
+    of cases done. Results are saved at once in the store `kept`, from which the run is resumed.
     """
     cases = DRAWS[kind](count, seed)[:first]
     there = {} if kept is None else kept.results()

@@ -27,14 +27,9 @@ OVER_NOISE = 6.0
 
 
 def decide_twin(cause, clean, plant_seed, seed, budget=1):
-    """Record a plant with one effect in typical operation, and decide by proposed recordings.
+    """Record a plant with one of `TWINS` in typical operation, and decide by proposed recordings.
 
-    Parameters
-    ----------
-    cause : str
-        A key of `TWINS`.
-    clean : (IdentifiedModel, tuple of Recording)
-        Model and recordings of the plant without effects; see `run_case.clean_model`.
+    `clean` is the result of `run_case.clean_model`.
     """
     plant = draw_plant(plant_seed)
     experiment = records.tracking(np.random.default_rng(seed), TWINS[cause])

@@ -80,18 +80,10 @@ def record(make: Make, folder: Path, seed: int) -> None:
 
 def recorded(make: Make, experiment: Experiment, seed: int,
              approach_s: float) -> tuple[FloatArray, Known]:
-    """Play an experiment on a make from rest and back.
+    """Play an experiment on a make from rest and back; return the table and what is known of it.
 
-    Parameters
-    ----------
-    approach_s : float
-        Time at the beginning of the waveform that is excluded from the error.
-
-    Returns
-    -------
-    table : ndarray, shape (N, 3)
-        Times (s), voltages (V) and measured displacements (um).
-    known : Known
+    The table, (N, 3), has times (s), voltages (V) and measured displacements (um). The first
+    `approach_s` of the waveform are excluded from the error.
     """
     rest_v = make.limits.rest_voltage_v
     ramp_v_per_s = make.limits.span_v / RAMP_S

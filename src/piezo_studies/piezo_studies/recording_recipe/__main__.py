@@ -264,13 +264,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def page(text: str, made: dict[str, list[Trial]]) -> str:
-    """Return the text of the page with its tables replaced.
-
-    Raises
-    ------
-    ValueError
-        If the page lacks the section of a table, or has an additional one.
-    """
+    """Return the text of a page with its tables replaced; ValueError if it has other sections."""
     tables = {SECTIONS + name: table(name, trials) for name, trials in made.items()}
     return with_sections(text, tables, SECTIONS)
 

@@ -20,17 +20,10 @@ SAMPLES_AT_ONCE = 400_000
 
 
 def record_stage(name, voltage_v, before_v=(), held=1, clock_hz=CLOCK_HZ, seed=1, plant=None):
-    """Play voltages on the simulated stage, which has rested at 0 V, and record them.
+    """Play voltages, (N,), on the simulated stage, which has rested at 0 V, and record them.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    before_v : ndarray, shape (M,)
-        Voltages of a ramp from rest, which are played first.
-    held : int
-        Clock samples for which each voltage is held; the displacement is their mean.
-    plant : str, optional
-        Name of the plant; the default one by default.
+    A ramp from rest, (M,), is played first. Each voltage is held for some clock samples, over which
+    the displacement is averaged.
     """
     stage = SimulatedStage(plant, seed, clock_hz)
     stage.open()

@@ -27,13 +27,8 @@ def play_run(run: TrackingRun, plan: FeedforwardPlan,
     """Play a run to its end, with the timing of the stage.
 
     The feedback for the samples of a tick is computed in the next tick, and acts in the one after
-    that.
-
-    Parameters
-    ----------
-    exchange : callable
-        Plays voltages, shape (n,), and returns the displacements measured at their start, like the
-        backend of a stage.
+    that. Like the backend of a stage, `exchange` plays voltages, (n,), and returns the
+    displacements measured at their start.
     """
     ticks = -(-run.total_samples // samples_per_tick)
     planned_v = plan.voltage_v(0, ticks * samples_per_tick).reshape(ticks, samples_per_tick)

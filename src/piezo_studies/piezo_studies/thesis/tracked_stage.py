@@ -84,22 +84,11 @@ def controller(method="h_infinity", samples_per_tick=40, delay_ticks=1):
 @cache
 def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURATION_S,
           method=None, jump_s=None, before_inverse=False, onboard=False):
-    """Track a sine with the identified model on the simulated stage.
+    """Track a sine of a peak-to-peak amplitude with the identified model on the simulated stage.
 
-    Parameters
-    ----------
-    frequency_hz, amplitude_um : float
-        Frequency and peak-to-peak amplitude.
-    duration_s : float
-        Duration of the steady state.
-    method : str, optional
-        Method of the feedback; by default that of the mode.
-    jump_s : float, optional
-        Time in the steady state at which the offset appears; by default, it is always present.
-    before_inverse : bool
-        Whether the feedback acts before the inverse hysteresis.
-    onboard : bool
-        Whether the stage evaluates the feedback, which is then designed without delay.
+    The steady state lasts for `duration_s`. The offset appears at `jump_s` of it; by default, it is
+    always present. The method of the feedback is that of the mode by default. The feedback may act
+    before the inverse hysteresis, or be evaluated by the stage, and is then designed without delay.
     """
     clock = StageClock(samples_per_tick=samples_per_tick)
     reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), CENTRE_UM)
