@@ -45,23 +45,10 @@ def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
                        ) -> tuple[tuple[Actuator, ...], tuple[DensityEstimate | None, ...]]:
     """Estimate hysteresis and creep of each axis, with all other parts of a model given.
 
-    Parameters
-    ----------
-    model : CoupledModel
-        Model with actuators, or with modes that were fitted without them.
-    creep, hysteresis : sequence of AxesRecording
-        Recordings that show them.
-    levels : int
-        Largest number of levels of the voltage, with two cells of the hysteresis between levels.
-    near : sequence of DensityEstimate or None, optional
-        Earlier estimate of each axis, with a model that explained less.
-
-    Returns
-    -------
-    actuators : tuple of Actuator
-        Without hysteresis where a line is as good.
-    densities : tuple of DensityEstimate or None
-        None where an axis does not move.
+    The model has actuators, or modes that were fitted without them. The hysteresis has two cells
+    between levels of the voltage, of which there are at most `levels`. Earlier estimates of the
+    densities, with a model that explained less, may be given. The actuators have no hysteresis
+    where a line is as good; the density is None where an axis does not move.
     """
     found = [_estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels,
                         near[axis] if near else None)
@@ -99,16 +86,8 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
 def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bool) -> Actuator:
     """Return hysteresis and creep fitted together to recordings of one axis without its modes.
 
-    Loops that drift are explained by a Bouc-Wen hysteresis if that is better.
-
-    Parameters
-    ----------
-    start : StageModel
-        Model without modes.
-    recordings : sequence of Recording
-        If one is too short for a joint fit, the start is returned.
-    is_line : bool
-        The recordings show no loops.
+    Loops that drift are explained by a Bouc-Wen hysteresis if that is better. If a recording is too
+    short for a joint fit, the start is returned. With `is_line`, the recordings show no loops.
     """
     try:
         problem = WholeModel(start, recordings, [0.0] * len(recordings))

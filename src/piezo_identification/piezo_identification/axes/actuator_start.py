@@ -53,29 +53,10 @@ def start_of_actuators(
 ) -> StartedStage | None:
     """Estimate hysteresis and creep of each axis with the modes given, and then the modes, twice.
 
-    Parameters
-    ----------
-    fit : CoupledFit
-        Fit of the modes alone.
-    spectra : sequence of Spectrum
-        That were fitted.
-    late : (n,) array of int
-        Latency of each sensor.
-    by_experiment : mapping of str to sequence of AxesRecording
-        "dynamics", "creep" and "hysteresis".
-    fast : sequence of AxesRecording
-        Those of the shortest sample period.
-    pairs : int, optional
-        Pairs of poles; by evidence by default.
-    note : callable
-        Called with what was found of each axis.
-    progress : callable
-        Called with (stage, fraction) when a stage begins.
-
-    Returns
-    -------
-    StartedStage or None
-        The one of the two with less residual; None where no axis shows hysteresis or creep.
+    The fit is that of the modes alone to the spectra, with the latency of each sensor, (n,). The
+    recordings are given by their experiment, and those of the shortest sample period once more. The
+    one of the two estimates with less residual is returned; None where no axis shows hysteresis or
+    creep. For the other parameters see `identify_several_axes`.
     """
     recordings = [each for listed in by_experiment.values() for each in listed]
     slow = [*by_experiment["creep"], *by_experiment["hysteresis"]]

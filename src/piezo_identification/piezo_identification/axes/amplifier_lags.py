@@ -31,12 +31,8 @@ def with_amplifier_lags(model: CoupledModel, steps: ComplexArray,
     """Return a model with the lags with which its hysteresis explains fast recordings best.
 
     They are shorter than the period of the lowest mode over 2 pi, and explain so much that the
-    evidence grows.
-
-    Parameters
-    ----------
-    steps : (m,) array of complex
-        Poles of the modes in the z plane, which are kept. All gains are fitted again.
+    evidence grows. The poles of the modes in the z plane, (m,), are kept; all gains are fitted
+    again.
     """
     moving = [number for number, each in enumerate(model.actuators) if each.hysteresis and any(
         np.ptp(recording.voltage_v[:, number]) > 0.0 for recording in fast)]

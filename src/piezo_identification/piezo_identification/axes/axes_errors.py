@@ -56,15 +56,10 @@ further band is an octave."""
 
 
 class _Part:
-    """A recording, how it is simulated, and its rows that are fitted.
+    """A recording, how it is simulated, and its rows that are fitted, each of which is in a band.
 
     Those of a periodic recording are the real and imaginary parts of the spectrum of its mean
     period, up to the highest line that is played.
-
-    Attributes
-    ----------
-    band : (r,) array of int
-        Band of each row.
     """
 
     def __init__(self, recording: AxesRecording, model: CoupledModel,
@@ -147,19 +142,9 @@ class _Compared:
 
 
 class AxesErrors:
-    """Errors of a model of several axes as a function of changes of its parameters.
+    """Errors of a model of several axes in recordings as a function of changes of its parameters.
 
-    Parameters
-    ----------
-    free : FreeAxes
-        Its parameters.
-    recordings : sequence of AxesRecording
-        All that are fitted.
-
-    Attributes
-    ----------
-    low, high, longest : (n,) array
-        See `levenberg_marquardt.Objective`.
+    For `low`, `high` and `longest`, (n,), see `levenberg_marquardt.Objective`.
     """
 
     def __init__(self, free: FreeAxes, recordings: Sequence[AxesRecording]) -> None:

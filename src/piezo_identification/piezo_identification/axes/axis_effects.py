@@ -74,21 +74,12 @@ class AxisEffect:
     def overlaps(self, model: CoupledModel, values: FloatArray, away: FloatArray) -> bool:
         """Return whether the effect cannot be distinguished from an error of the model.
 
-        Parameters
-        ----------
-        away : (p,) array
-            Possible errors of the values.
+        Possible errors of the values are given, (p,).
         """
         return False
 
     def applied(self, model: CoupledModel, values: FloatArray) -> CoupledModel:
-        """Return the model with this effect.
-
-        Parameters
-        ----------
-        values : (p,) array
-            The parameters, in the units that their names state.
-        """
+        """Return the model with this effect, whose values have the units that their names state."""
         (value,), row = values, model.axes.index(self.axis)
         if self.name == "delay":
             return _delayed(model, row, value / model.sample_period_s)
@@ -152,10 +143,7 @@ class ModeOfAxis(AxisEffect):
                    off: FloatArray) -> tuple[complex, ComplexArray]:
         """Return the standard deviations of the pole and of the residues, (1, n, n).
 
-        Parameters
-        ----------
-        off : (p,) array
-            Those of the values.
+        Those of the values are given, (p,).
         """
         residue = self._mode(model, values)[1]
         pole_off = complex(np.hypot(off[0] * values[1], values[0] * off[1]), off[0])

@@ -69,18 +69,10 @@ def linear_numbers(spectra: Sequence[Spectrum], steps: ComplexArray, taps: int) 
 def equations_of_gains(
     spectra: Sequence[Spectrum], steps: ComplexArray, taps: int, output: int, late: np.ndarray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows and targets of the regression for the gains of one motion.
+    """Return rows, (r, count), and targets, (r, s), of the regression for the gains of one motion.
 
-    Parameters
-    ----------
-    late : (s,) array
-        Samples by which the motion is advanced first.
-
-    Returns
-    -------
-    rows : (r, count) array
-    targets : (r, s) array
-        For each of `late`.
+    There is a target for each of the numbers of samples, (s,), by which the motion is advanced
+    first.
     """
     parts = []
     for spectrum in spectra:
@@ -101,13 +93,9 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
 
     With the response ``G`` of a level and that of the reference, ``G back`` is their difference,
     linear in the gains of the modes in ``back``. Modes beyond the lines have none, nor have those
-    that are narrower than the distance of two lines, as no line shows their resonance.
-
-    Parameters
-    ----------
-    ridge : float
-        By which the squares of scaled columns are enlarged: gains that the levels hardly show would
-        else make the motion unstable.
+    that are narrower than the distance of two lines, as no line shows their resonance. The squares
+    of scaled columns are enlarged by the ridge: gains that the levels hardly show would else make
+    the motion unstable.
     """
     n, steps = linear.gains.shape[1], linear.steps
     angles, pairs = np.sort(np.angle(levels[0][0].z)), steps.imag > 0.0
@@ -137,11 +125,8 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
 def refined(numbers: CoupledNumbers, spectra: Sequence[Spectrum], steps: int) -> CoupledFit:
     """Return the numbers near a start with the least residual, by damped Gauss-Newton steps.
 
-    Parameters
-    ----------
-    steps : int
-        At most so many, and fewer where the time of the block around is over; with 0 the start is
-        only judged.
+    There are fewer steps where the time of the block around is over; with 0 the start is only
+    judged.
     """
     residual = _residuals(numbers, spectra)
     misfit, damping = _misfit(spectra, residual), FIRST_DAMPING
@@ -185,12 +170,8 @@ def covariances_of_correlated(
     """Return the covariances for the responses to each axis alone, whose errors are correlated.
 
     The fit weights each error by its own deviation. Its scatter follows from the slopes and the
-    covariance of the errors (White, Econometrica 50, 1982).
-
-    Parameters
-    ----------
-    covariance : (K, n, n, n, n) array of complex
-        Of the errors by line, moving and driven axis, and moving and driven axis once more.
+    covariance of the errors, (K, n, n, n, n), by line, moving and driven axis, and moving and
+    driven axis once more (White, Econometrica 50, 1982).
     """
     numbers, n = fit.numbers, len(responses)
     own, shared = numbers.own().shape[1], numbers.shared().size

@@ -129,16 +129,9 @@ class Linearised:
         self.motion = np.einsum("kij,kj->ki", self.response, self.drive)
 
     def pulls(self, pull: ComplexArray) -> tuple[FloatArray, FloatArray]:
-        """Return the products of the slopes with a motion, summed over the lines.
+        """Return the products of the slopes with a motion, (K, n), summed over the lines.
 
-        Parameters
-        ----------
-        pull : (K, n) array of complex
-
-        Returns
-        -------
-        own : (n, count) array
-        shared : (count,) array
+        They are those of the numbers of each motion, (n, count), and of the shared ones, (count,).
         """
         own = np.real(pull.conj().T @ self.own_slopes())
         through = -np.einsum("ki,kij->kj", pull.conj(), self.modal @ self.closing)

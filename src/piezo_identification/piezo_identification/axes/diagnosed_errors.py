@@ -49,34 +49,20 @@ LAST_STEP = 1e-3
 class DiagnosedErrors(ABC):
     """Errors of changed models, and the effects that the data may show.
 
-    Parameters
-    ----------
-    identified : IdentifiedAxes
-        Given model.
-    stretch : (N,) array of int
-        Stretch of each row, whose errors may be correlated.
-
-    Attributes
-    ----------
-    fitted : (N,) array of bool
-        Rows that are fitted; the others are held out.
-    model : CoupledModel
-        Given model.
-    given : dict
-        Its errors, as `reported` returns them.
-    noise_um : (n,) array
-        Standard deviation of the noise of each sensor.
-    known_squares : array
-        Squared known error of the model in squared tolerances, broadcast over rows and axes.
+    Errors may be correlated within a stretch; the stretch of each row is given, (N,). Rows that are
+    not `fitted`, (N,), are held out.
     """
 
     unit = "um"
     not_shown = ""
     """Why the data do not show the gain of an axis; empty if they do."""
     given: dict[str, dict[str, float]]
+    """Errors of the given model, as `reported` returns them."""
     noise_um: FloatArray
+    """Standard deviation of the noise of each sensor, (n,)."""
     tolerance: FloatArray
     known_squares: FloatArray
+    """Squared known error of the model in squared tolerances, broadcast over rows and axes."""
 
     def __init__(self, identified: IdentifiedAxes, stretch: NDArray[np.intp]) -> None:
         self._identified, self.model, self.stretch = identified, identified.model, stretch

@@ -29,25 +29,11 @@ from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 
 class FreeAxes:
-    """The parameters of a model that a joint fit changes.
+    """The parameters of a model, with actuators, that a joint fit changes.
 
-    Parameters
-    ----------
-    model : CoupledModel
-        Initial model, with actuators.
-    numbers : CoupledNumbers
-        Numbers of its modes.
-
-    Attributes
-    ----------
-    of_actuators : list of slice
-        Places of the changes of each actuator.
-    of_poles, of_gains : slice
-        Places of the changes of the poles, and of the gains of all motions.
-    low : (n,) array
-        Lowest changes.
-    is_hysteresis : (n,) array of bool
-        Changes in which the drive is linear, those of a Preisach hysteresis.
+    The changes of each actuator, of the poles, and of the gains of all motions have the places
+    `of_actuators`, `of_poles` and `of_gains`. `low` are the lowest changes, (n,), and
+    `is_hysteresis`, (n,), marks those in which the drive is linear: of a Preisach hysteresis.
     """
 
     def __init__(self, model: CoupledModel, numbers: CoupledNumbers) -> None:
@@ -109,10 +95,7 @@ class FreeAxes:
     def covariances_of_numbers(self, covariance: FloatArray) -> list[FloatArray]:
         """Return for each motion the covariance of its own numbers with the poles behind them.
 
-        Parameters
-        ----------
-        covariance : (n, n) array
-            Covariance of the changes.
+        The covariance of the changes, (n, n), is given.
         """
         widths, count = np.append(self.gain_widths, self.pole_widths), self.gain_widths.size
         poles = np.arange(self.of_poles.start, self.of_poles.stop)

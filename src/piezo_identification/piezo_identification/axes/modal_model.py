@@ -17,12 +17,8 @@ def coupled_model(numbers: CoupledNumbers, late: np.ndarray, driven: Sequence[Ax
                   actuators: tuple[Actuator, ...] = ()) -> CoupledModel:
     """Return the model of some numbers, without softening.
 
-    Parameters
-    ----------
-    late : (n,) array of int
-        Latency of each sensor.
-    driven : sequence of AxesRecording
-        Fast ones, with the drive in place of their voltage.
+    The latency of each sensor is given, (n,), and fast recordings with the drive in place of their
+    voltage.
     """
     first, samples = driven[0], [len(each.voltage_v) for each in driven]
     voltage_v, displacement_um = (

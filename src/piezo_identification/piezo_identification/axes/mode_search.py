@@ -43,14 +43,9 @@ class ErrorLines:
 
 def lines_of(drive_v: FloatArray, errors_um: FloatArray, tolerance_um: FloatArray,
              sample_period_s: float) -> ErrorLines:
-    """Return the lines of a recording.
+    """Return the lines of a recording with the drive of one axis, (N,), and errors, (N, n).
 
-    Parameters
-    ----------
-    drive_v : (N,) array
-    errors_um : (N, n) array
-    tolerance_um : (n,) array
-        Standard deviation of the errors of each sensor.
+    The tolerance, (n,), is the standard deviation of the errors of each sensor.
     """
     samples = len(errors_um)
     window = hann(samples, sym=False)
@@ -64,13 +59,7 @@ def lines_of(drive_v: FloatArray, errors_um: FloatArray, tolerance_um: FloatArra
 
 def guessed(mode: ModeOfAxis, sample_period_s: float, lines: ErrorLines,
             delays_s: FloatArray) -> ModeOfAxis:
-    """Return a mode with the values that explain most of the errors of a model.
-
-    Parameters
-    ----------
-    delays_s : (n,) array
-        Delay of each sensor.
-    """
+    """Return a mode with the values that explain most of a model's errors; the delays are (n,)."""
 
     def gains(frequency: float, damping: float) -> tuple[FloatArray, float]:
         """Return the static gains that fit best, (n,), and the squares that they explain."""

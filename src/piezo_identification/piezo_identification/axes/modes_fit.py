@@ -68,18 +68,10 @@ def fitted_modes(
     levels: Sequence[Sequence[Spectrum]], pairs: int | None, note: Note, progress: Progress,
     behind_actuators: bool = False,
 ) -> tuple[CoupledFit, list[Spectrum], np.ndarray]:
-    """Return modes and softening of spectra, and the latencies of the sensors.
+    """Return modes and softening of spectra by rising amplitude, and the latencies of the sensors.
 
-    Parameters
-    ----------
-    levels : sequence of sequence of Spectrum
-        By amplitude, rising.
-    pairs : int, optional
-        Pairs of poles; by evidence by default.
-    note, progress
-        See `identify_several_axes`.
-    behind_actuators : bool
-        The drive is that of the modes, behind hysteresis and creep.
+    For the other parameters see `identify_several_axes`. With `behind_actuators`, the drive is that
+    of the modes, behind hysteresis and creep.
     """
     start, late = _with_latencies(_reference(levels), pairs, progress)
     levels = [[each.advanced(late) for each in level] for level in levels]
@@ -107,12 +99,7 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
     """Return the fit whose deviations are its own residual, with its spectra.
 
     Beside light modes a model that is not refined leaves many times the noise, where the lines tell
-    most of their frequency.
-
-    Parameters
-    ----------
-    is_open : bool
-        Poles without evidence may be left out.
+    most of their frequency. If it is open, poles without evidence may be left out.
     """
     with while_time_lasts(FURTHER_REFINEMENT):
         for _ in range(times):

@@ -27,10 +27,7 @@ MOVES = 4
 def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
     """Yield fits of rising order, poles being added where the residual is largest.
 
-    Parameters
-    ----------
-    most : int
-        Pairs of poles of the last fit.
+    The last fit has `most` pairs of poles.
     """
     count = min(PAIRS_STEP, most)
     fit = _fit(spectra, relocated(spectra, count, TAPS))

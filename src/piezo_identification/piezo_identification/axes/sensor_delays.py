@@ -32,10 +32,7 @@ POINTS_OF_SAMPLE = 50
 def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
     """Return the whole samples by which each sensor is late: the fewest with a small residual.
 
-    Parameters
-    ----------
-    fit : CoupledFit
-        Fit of some order. Only its lightly damped modes are used: others may represent the delay.
+    Of the fit only the lightly damped modes are used: others may represent the delay.
     """
     n, tried = spectra[0].motion.shape[1], np.arange(MOST_LATE)
     steps = fit.numbers.steps
@@ -66,20 +63,12 @@ def _fewest(rows: FloatArray, targets: FloatArray, alike: float) -> int:
 
 
 def sensor_delays(model: CoupledModel, deviations: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return the delay of each sensor by the phases of the modes, with its standard deviation.
+    """Return the delay (s) of each sensor by the phases of the modes, with its standard deviation.
 
     The displacement of a lightly damped mode of real shape lags its force by a quarter of a turn at
-    its frequency; what it lags more is the delay, alike for all modes in one sensor.
-
-    Parameters
-    ----------
-    deviations : (K, n, n) array of complex
-        Standard deviations of the residues.
-
-    Returns
-    -------
-    delays_s, deviations_s : (n,) array
-        Infinite deviations if no mode shows it.
+    its frequency; what it lags more is the delay, alike for all modes in one sensor. The standard
+    deviations of the residues, (K, n, n), are given; that of the delay is infinite if no mode shows
+    it.
     """
     period_s, poles = model.sample_period_s, model.poles_rad_per_s
     light = (poles.imag > 0.0) & (-poles.real < MOST_DAMPED * np.abs(poles))

@@ -22,11 +22,7 @@ LEAST_STEP = 1e-3
 def mode_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
     """Return the responses whose real multiples are those of modes, (K, 2 pairs + real poles).
 
-    Parameters
-    ----------
-    z : (K,) array of complex
-    steps : (m,) array of complex
-        Poles in the z plane, those of pairs first, by their upper one.
+    The poles in the z plane, (m,), begin with those of pairs, by their upper one.
     """
     pairs = steps[steps.imag > 0.0]
     columns = np.empty((z.size, 2 * pairs.size + np.count_nonzero(steps.imag == 0.0)), complex)
@@ -68,22 +64,11 @@ def delays(z: ComplexArray, taps: int) -> ComplexArray:
 
 def relocated(spectra: Sequence[Spectrum], pairs: int, taps: int,
               steps: ComplexArray | None = None, iterations: int = ITERATIONS) -> ComplexArray:
-    """Return poles in the z plane that all motions share (Gustavsen and Semlyen 1999).
+    """Return poles in the z plane that all motions share (Gustavsen and Semlyen 1999), (m,).
 
-    Parameters
-    ----------
-    spectra : sequence of Spectrum
-    pairs : int
-        Pairs of poles, some of which may turn out as two real ones.
-    taps : int
-        Number of taps of the direct part.
-    steps : (m,) array of complex, optional
-        Initial poles; by default they are spread over the lines.
-
-    Returns
-    -------
-    (m,) array of complex
-        Stable; pairs, by their upper pole, before real ones.
+    Some pairs may turn out as two real poles; the direct part has some taps. By default the initial
+    poles are spread over the lines. The poles are stable; pairs, by their upper pole, come before
+    real ones.
     """
     if steps is None:
         angles = np.quantile(np.angle(spectra[0].z), np.linspace(0.0, 1.0, pairs + 2)[1:-1])

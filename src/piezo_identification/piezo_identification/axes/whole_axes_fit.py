@@ -39,13 +39,8 @@ class FittedStage:
 def fit_to_all(stage: FittedStage, recordings: Sequence[AxesRecording]) -> FittedStage:
     """Fit hysteresis, creep, poles, residues and direct part of a stage to all its recordings.
 
-    The errors are never larger than before. Softening is kept as it is. If the time is over, the
-    covariances are those of before.
-
-    Parameters
-    ----------
-    stage : FittedStage
-        Initial model, with actuators.
+    The errors are never larger than before. Softening is kept as it is. The initial model has
+    actuators. If the time is over, the covariances are those of before.
     """
     free = FreeAxes(stage.model, stage.numbers)
     errors, changes, known = AxesErrors(free, recordings), np.zeros(free.low.size), stage.known
