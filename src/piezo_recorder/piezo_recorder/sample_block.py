@@ -38,19 +38,9 @@ class Mark(enum.IntFlag):
 class SampleCount:
     """Running count of the samples of one topic, in constant memory.
 
-    Parameters
-    ----------
-    axes : int
-        Number of the stage's axes; a sample has one value per axis.
-
-    Attributes
-    ----------
-    samples : int
-        Number of samples received.
-    missing : int
-        Number of clock samples that no block covers, between the first block and the last.
-    end : int
-        Index on the sample clock after the last block.
+    Of the samples, each of which has one value per axis, `samples` were received; `missing` are the
+    clock samples that no block covers, between the first block and the last; `end` is the index on
+    the sample clock after the last block.
     """
 
     def __init__(self, sample_rate_hz: float = DEFAULT_SAMPLE_RATE_HZ, axes: int = 1):

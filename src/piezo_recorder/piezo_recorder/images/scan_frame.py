@@ -53,13 +53,7 @@ class ScanFrame(Document):
 
 
 def frame_in(attachments: Mapping[str, bytes], path: str) -> ScanFrame:
-    """Return the frame that is stored in a recording.
-
-    Raises
-    ------
-    RecordingError
-        If there is none, or it is damaged.
-    """
+    """Return the frame stored in a recording; RecordingError if there is none, or it is damaged."""
     if SCAN_FILE not in attachments:
         raise RecordingError(f"{path} holds no {SCAN_FILE}: record a scan with `stage scan`")
     try:

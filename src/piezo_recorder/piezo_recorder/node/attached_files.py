@@ -15,16 +15,11 @@ MOST_BYTES = 64_000_000
 
 def read_attachments(request: StartRecording.Request, readable: Callable[[str], str],
                      ) -> tuple[dict[str, bytes], list[str], str]:
-    """Read the attachments of a recording.
+    """Read the attachments of a recording; return them with the names of the unread ones and why.
 
-    `readable` returns the path of a file to read, and raises ValueError if it must not be read.
-
-    Returns
-    -------
-    unread : list of str
-        Names whose files cannot be read, or have changed since the request.
-    refusal : str
-        Reason for the unread ones; empty if everything was read.
+    Files are unread that cannot be read, or have changed since the request; the reason is empty if
+    everything was read. `readable` returns the path of a file to read, and raises ValueError if it
+    must not be read.
     """
     contents, unread, reasons = {}, [], []
     for name, content, path, sha256 in zip_longest(

@@ -6,13 +6,7 @@ from collections.abc import Callable
 
 
 class Patience:
-    """Detect when nothing has changed for too long.
-
-    Parameters
-    ----------
-    limit_s : float
-        Longest time without a change (s).
-    """
+    """Detect when nothing has changed for longer than a limit (s)."""
 
     def __init__(self, limit_s: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._limit_s, self._clock = limit_s, clock

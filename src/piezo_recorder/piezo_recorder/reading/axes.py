@@ -199,12 +199,7 @@ def axes_recording_of(recording: Recording) -> AxesRecording:
     """Return what a stage of several axes played or tracked, from its first sample to the last.
 
     If the recording contains the number of repeats, and of those that settle, only the equal
-    periods after these are returned.
-
-    Raises
-    ------
-    RecordingError
-        If samples are missing.
+    periods after these are returned. RecordingError is raised if samples are missing.
     """
     if not recording.axes:
         raise RecordingError(f"{recording.path} is of one axis: give a recording of several")

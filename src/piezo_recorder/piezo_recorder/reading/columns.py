@@ -119,13 +119,8 @@ def load_columns(path: Path) -> ColumnsDocument:
 def columns_for(path: Path, described: ColumnsDocument = GUESSED) -> ColumnsDocument:
     """Complete the user's description of a file by the YAML file next to it.
 
-    Parameters
-    ----------
-    path : Path
-        Data file. ``run.csv`` may have ``run.columns.yaml`` next to it, or all files of a
-        folder may share ``columns.yaml``.
-    described : ColumnsDocument
-        Description by the user, which takes precedence.
+    The user's entries take precedence. ``run.csv`` may have ``run.columns.yaml`` next to it, or all
+    files of a folder may share ``columns.yaml``.
     """
     for neighbour in (path.with_name(path.stem + SUFFIX), path.with_name(FOLDER_FILE)):
         if neighbour.is_file() and neighbour != path:

@@ -19,15 +19,8 @@ def read_all_given(path: str | PathLike[str], options: argparse.Namespace,
                    several_axes: bool = False) -> list[Recording]:
     """Read all recordings of a file, and print the notes on them.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        Options of a parser with `add_columns_option`.
-
-    Raises
-    ------
-    RecordingError
-        If the file cannot be read.
+    The options are those of a parser with `add_columns_option`. RecordingError is raised if the
+    file cannot be read.
     """
     line = ProgressLine()
     found = read_recordings(

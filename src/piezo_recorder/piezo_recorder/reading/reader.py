@@ -140,10 +140,7 @@ def holds_messages(path: Path) -> bool:
 def axes_of_messages(path: Path) -> tuple[str, ...]:
     """Return the names of the axes of a recording of this suite; empty for a single axis.
 
-    Raises
-    ------
-    RecordingError
-        If there is no such file.
+    RecordingError is raised if there is no such file.
     """
     contents = _Contents()
     for file in data_files(path):

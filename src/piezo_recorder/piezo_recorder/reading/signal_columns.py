@@ -58,12 +58,8 @@ class SignalSource:
 def needed_columns(table: Table, described: ColumnsDocument) -> dict[str, SignalSource]:
     """Choose the columns of ``time``, ``voltage`` and ``displacement``.
 
-    There is none of the time if the rate is known.
-
-    Raises
-    ------
-    RecordingError
-        If a signal has no column, several candidates, or a column without a unit.
+    There is none of the time if the rate is known. RecordingError is raised if a signal has no
+    column, several candidates, or a column without a unit.
     """
     labels = list(table.columns)
     own_time = described.time is not None or OWN_LABELS["time"] in labels

@@ -37,17 +37,8 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
                           progress: Progress = no_progress) -> list[Recording]:
     """Read all recordings of a file of another program.
 
-    Parameters
-    ----------
-    path : Path
-        Text of any delimiter, .mat, HDF5, .npz, .npy, TDMS, Parquet or Arrow.
-    columns : ColumnsDocument
-        Description of the columns; `columns_for` adds that of a YAML file next to the data.
-
-    Raises
-    ------
-    RecordingError
-        If the file, a column, a row or the sample period is invalid; the message is one line.
+    `columns_for` adds the description of a YAML file next to the data. RecordingError, of one line,
+    is raised if the file, a column, a row or the sample period is invalid.
     """
     described = columns_for(path, columns)
     tables = read_tables(path, lambda table: _needed_labels(table, described), progress)
@@ -60,10 +51,7 @@ def read_table_recordings(path: Path, columns: ColumnsDocument = GUESSED,
 def recordings_of(tables: Sequence[Table], described: ColumnsDocument) -> list[Recording]:
     """Return the recordings in tables: the groups of a file, then the whole file; at least one.
 
-    Raises
-    ------
-    RecordingError
-        If a table is invalid, see `read_table_recordings`.
+    RecordingError is raised if a table is invalid, see `read_table_recordings`.
     """
     *groups, whole = tables
     usable = [group for group in groups if _sources(group, described)]

@@ -94,10 +94,7 @@ def repeated_rows(time_s: FloatArray, signals: Sequence[FloatArray]) -> NDArray[
 def time_axis(time_s: FloatArray, place: Callable[[int], str], label: str) -> TimeAxis:
     """Determine the period of at least two rows whose times do not decrease.
 
-    Raises
-    ------
-    RecordingError
-        If the time does not advance, decreases, or has no period.
+    RecordingError is raised if the time does not advance, decreases, or has no period.
     """
     count = time_s.size
     steps_s = np.diff(time_s)

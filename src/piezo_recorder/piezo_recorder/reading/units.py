@@ -85,13 +85,7 @@ def factor_and_unit(text: str) -> tuple[float, str]:
 
 
 def scale_of(signal: str, unit: str) -> float:
-    """Return the value of one unit in s, V or um.
-
-    Raises
-    ------
-    RecordingError
-        If it is not a unit of that signal.
-    """
+    """Return the value of one unit in s, V or um; RecordingError if the signal has no such unit."""
     scale = UNITS[signal].get(plain(unit))
     if scale is None:
         raise RecordingError(

@@ -37,11 +37,8 @@ class StoredWaveform(NamedTuple):
 def read_waveform(path: Path) -> StoredWaveform:
     """Read ``time_s`` and ``voltage_v``, or those of several axes, and marks from a CSV file.
 
-    Raises
-    ------
-    ValueError
-        If it is not a regular file of bounded size, lacks the columns, has fewer than two rows,
-        or is not sampled uniformly.
+    ValueError is raised if it is not a regular file of bounded size, lacks the columns, has fewer
+    than two rows, or is not sampled uniformly.
     """
     try:
         with open_regular(path, LARGEST_BYTES) as raw, io.TextIOWrapper(

@@ -25,14 +25,10 @@ TOPIC = "/stage/samples"
 
 
 def write_csv(recording: Recording, path: Path) -> None:
-    """Write a recording as a CSV file with the columns of this suite and its further ones.
+    """Write a recording as a new CSV file with the columns of this suite and its further ones.
 
     Numbers have as many digits as are needed to read them back exactly; times have 12 digits.
-
-    Raises
-    ------
-    FileExistsError
-        If the file exists already.
+    FileExistsError is raised if the file exists already.
     """
     columns = [*recording.signals.values(), *recording.columns.values()]
     labels = ["time_s", *recording.signals,
@@ -48,14 +44,10 @@ def write_csv(recording: Recording, path: Path) -> None:
 
 
 def write_recording(recording: Recording, path: Path) -> None:
-    """Write a recording as a rosbag2 directory of sample blocks, with its gaps.
+    """Write a recording as a new rosbag2 directory of sample blocks, with its gaps.
 
-    Of its further columns only marks and signals are written.
-
-    Raises
-    ------
-    FileExistsError
-        If the directory exists already.
+    Of its further columns only marks and signals are written. FileExistsError is raised if the
+    directory exists already.
     """
     definition = installed_definition(TYPE_NAME)
     typestore = get_typestore(Stores.EMPTY)

@@ -42,10 +42,7 @@ class MessageDefinition:
 def installed_definition(type_name: str) -> MessageDefinition:
     """Return the definition of an installed message type; the sample block needs no ROS.
 
-    Raises
-    ------
-    ValueError
-        If the name has another form, or the type is not installed.
+    ValueError is raised if the name has another form, or the type is not installed.
     """
     if type_name == TYPE_NAME and not _is_installed(type_name.split("/")[0]):
         return _packaged_definition()

@@ -17,10 +17,7 @@ QUIET_S = 0.02
 class RecordingSession:
     """A recording in progress, and the counts of its samples.
 
-    Parameters
-    ----------
-    quality_profiles : dict of str to sequence of dict
-        Profiles that the publishers of each topic offer.
+    The profiles are those that the publishers of each topic offer.
     """
 
     def __init__(self, writer: RecordingWriter, definitions: Mapping[str, MessageDefinition],

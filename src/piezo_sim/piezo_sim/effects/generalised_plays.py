@@ -99,13 +99,7 @@ class GeneralisedPlays(Bounded):
 
 
 class PlaysRunner:
-    """Hysteresis with the output of each play as its state.
-
-    Attributes
-    ----------
-    plays_v : ndarray, shape (plays,)
-        Present outputs w of the plays.
-    """
+    """Hysteresis with the present output w of each play (V) as its state."""
 
     def __init__(self, effect: GeneralisedPlays, sample_period_s: float) -> None:
         self._thresholds_v = effect.thresholds_v()

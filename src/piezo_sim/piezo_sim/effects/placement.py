@@ -29,11 +29,7 @@ def add_effect(plant: PlantConfig, effect: Effect) -> PlantConfig:
     """Return a plant with an undeclared effect at its place in the chain.
 
     A `LoadedMode` replaces the mode of the nearest frequency; a `GuideSpring` is placed behind it.
-
-    Parameters
-    ----------
-    plant : PlantConfig
-        Plant with at least the effects of the default plant.
+    The plant has at least the effects of the default plant.
     """
     stage = list(plant.stage)
     linear = [i for i, other in enumerate(stage) if hasattr(other, "state_space")]

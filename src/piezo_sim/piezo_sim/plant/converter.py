@@ -32,19 +32,10 @@ class Converter:
 
 
 def converter_of(effect: Effect, low: str, high: str) -> Converter:
-    """Return the converter of an effect.
+    """Return the converter of an effect whose `converter_bits` determine the number of levels.
 
-    Parameters
-    ----------
-    effect : Effect
-        Effect with the parameter `converter_bits`, which determines the number of levels.
-    low, high : str
-        Names of its parameters for the lowest and the highest level.
-
-    Raises
-    ------
-    PlantConfigError
-        If the range is empty, or there are too few or too many levels.
+    The lowest and the highest level have the given names among its parameters. PlantConfigError is
+    raised if the range is empty, or there are too few or too many levels.
     """
     lowest, highest, bits = (getattr(effect, name) for name in (low, high, "converter_bits"))
     require(lowest < highest, effect, f"{low} must be below {high}.")

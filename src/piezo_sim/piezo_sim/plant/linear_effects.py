@@ -95,11 +95,8 @@ def chain(effects: Sequence[LinearEffect]) -> StateSpace:
     """Return the connection of linear effects in the order of the signal.
 
     Most are in series; a `ParallelEffect` is in parallel with the series of those before it.
-
-    Raises
-    ------
-    PlantConfigError
-        If there are fewer linear effects directly before an effect than it is parallel to.
+    PlantConfigError is raised if there are fewer linear effects directly before an effect than it
+    is parallel to.
     """
     systems: list[StateSpace] = []
     for effect in effects:
@@ -157,11 +154,8 @@ def _alone(a: FloatArray) -> int:
 class LinearRunner:
     """Linear effects in series with their common state.
 
-    Raises
-    ------
-    PlantConfigError
-        If the output follows the input without a lag, so that a measurement would depend on a
-        voltage that has not acted yet.
+    PlantConfigError is raised if the output follows the input without a lag, so that a measurement
+    would depend on a voltage that has not acted yet.
     """
 
     def __init__(self, effects: Sequence[LinearEffect], sample_period_s: float) -> None:

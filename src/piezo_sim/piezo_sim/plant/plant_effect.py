@@ -60,11 +60,8 @@ POSITIVE, NOT_NEGATIVE = "must be positive.", "must not be negative."
 def parameter(unit: str, sign: str = "") -> Any:
     """Declare a parameter of an effect, with the unit that the plant file must state.
 
-    Parameters
-    ----------
-    sign : str
-        `POSITIVE` or `NOT_NEGATIVE`; what a `Bounded` effect requires of it, and of each number of
-        a list.
+    The sign, `POSITIVE` or `NOT_NEGATIVE`, is what a `Bounded` effect requires of it, and of each
+    number of a list.
     """
     return dataclasses.field(metadata={"unit": unit, "sign": sign})
 
@@ -83,12 +80,6 @@ class Bounded:
 
 
 def require(condition: bool, effect: Effect, sentence: str) -> None:
-    """Check that the parameters of an effect agree with each other and with physics.
-
-    Raises
-    ------
-    PlantConfigError
-        If `condition` does not hold.
-    """
+    """Raise PlantConfigError if parameters of an effect contradict each other or physics."""
     if not condition:
         raise PlantConfigError(f"{effect.name}: {sentence}")

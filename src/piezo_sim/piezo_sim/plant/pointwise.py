@@ -11,10 +11,7 @@ from piezo_common.arrays import FloatArray
 class PointwiseRunner:
     """A compiled function of the samples and of constants.
 
-    Parameters
-    ----------
-    replace : callable
-        Called as ``replace(samples, *constants)``; replaces the inputs by the outputs.
+    It is called as ``replace(samples, *constants)``, and replaces the inputs by the outputs.
     """
 
     def __init__(self, replace: Callable[..., None], *constants: float) -> None:

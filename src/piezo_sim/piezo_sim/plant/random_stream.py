@@ -35,10 +35,7 @@ class NormalStream:
 class EventStream:
     """Sample numbers of random events, counted from the first sample.
 
-    Parameters
-    ----------
-    bits : numpy.random.BitGenerator
-        Source of the numbers; `generator` provides all other random properties of an event.
+    They are drawn from `bits`; `generator` provides all other random properties of an event.
     """
 
     def __init__(self, bits: np.random.BitGenerator) -> None:

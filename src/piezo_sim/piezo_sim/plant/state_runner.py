@@ -19,15 +19,9 @@ def unmoved(level: float) -> Rested:
 class StateRunner:
     """A compiled function of the samples, of its state and of constants.
 
-    Parameters
-    ----------
-    replace : callable
-        Called as ``replace(samples, *state, *constants)``; replaces the inputs by the outputs and
-        returns the new state, a tuple. With normals, an array of them follows the samples.
-    at_rest : callable
-        Returns the state and the output at a constant input.
-    normals : NormalStream, optional
-        Standard normal numbers, one for each sample.
+    It is called as ``replace(samples, *state, *constants)``, replaces the inputs by the outputs,
+    and returns the new state, a tuple. With normals, an array of them, one for each sample, follows
+    the samples. `at_rest` returns the state and the output at a constant input.
     """
 
     def __init__(self, replace: Callable[..., tuple[Any, ...]], at_rest: Callable[[float], Rested],

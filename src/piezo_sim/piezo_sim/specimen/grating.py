@@ -17,18 +17,10 @@ GRAIN_UM = (0.1, 0.3)
 
 
 def grating(centre_um: tuple[float, float], size_um: float, pitch_um: float, seed: int) -> Field:
-    """Return the heights of a grating (um).
+    """Return the heights of a square grating (um) about a centre in coordinates of the stage.
 
-    Parameters
-    ----------
-    centre_um : tuple of float
-        In coordinates of the stage.
-    size_um : float
-        Length of its sides.
-    pitch_um : float
-        Distance of the pits, each of which is half as wide.
-    seed : int
-        Seed of the places and sizes of the grains.
+    Each pit is half as wide as their distance, the pitch. The seed gives places and sizes of the
+    grains.
     """
     pixels = round(size_um / PIXEL_UM)
     along = (np.arange(pixels) + 0.5) * PIXEL_UM

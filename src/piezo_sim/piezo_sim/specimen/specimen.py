@@ -21,17 +21,9 @@ LIGHT = 0.5
 class Specimen:
     """A specimen at rest, under a tip that moves over it.
 
-    Parameters
-    ----------
-    field : Field
-        Heights in um over the true positions; outside, those of the edge go on.
-    seed : int
-        Seed of the detectors' noise.
-
-    Attributes
-    ----------
-    signals : tuple of str
-        Names of the detectors: the height in um, and the brightness under light from the side.
+    The field has the heights in um over the true positions; outside, those of the edge go on. The
+    seed is that of the noise of the detectors `signals`: the height in um, and the brightness under
+    light from the side.
     """
 
     signals = ("height_um", "camera")

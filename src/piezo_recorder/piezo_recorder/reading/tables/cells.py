@@ -28,13 +28,9 @@ _CLOCK = re.compile(
 def kind_of(cell: str, decimal: str, grouped: bool = False) -> str:
     """Return what a cell holds: ``number``, ``clock``, ``text`` or ``empty``.
 
-    Parameters
-    ----------
-    decimal : str
-        Decimal mark of the file, ``.`` or ``,``.
-    grouped : bool
-        Whether a single mark before three digits is a thousands separator, as in 1,570. If the
-        file does not show its decimal mark elsewhere, it may be the decimal mark.
+    The decimal mark of the file is ``.`` or ``,``. If `grouped`, a single mark before three digits
+    is a thousands separator, as in 1,570; if the file does not show its decimal mark elsewhere, it
+    may be the decimal mark.
     """
     if not math.isnan(number_of(cell, decimal, grouped)):  # first, as most cells are numbers
         return "number"

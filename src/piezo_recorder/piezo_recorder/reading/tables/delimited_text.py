@@ -39,12 +39,8 @@ def read_text_table(path: Path, needed: Needed, progress: Progress) -> Table:
     """Read the table of a text file; a preamble, comments and empty lines are skipped.
 
     The needed columns are asked for with the table without rows. A column that is not needed and
-    contains text is omitted, with a note.
-
-    Raises
-    ------
-    RecordingError
-        If there is no table, or a needed cell is not a finite number; the message names the line.
+    contains text is omitted, with a note. RecordingError, which names the line, is raised if there
+    is no table, or a needed cell is not a finite number.
     """
     encoding, lines = _first_lines(path)
     found = _table_of(path, lines)

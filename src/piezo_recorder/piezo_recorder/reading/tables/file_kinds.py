@@ -42,10 +42,7 @@ MATLAB_HDF5_OFFSET = 512
 def read_tables(path: Path, needed: Needed, progress: Progress) -> list[Table]:
     """Read the tables of a file; groups have a table each, followed by one of all together.
 
-    Raises
-    ------
-    RecordingError
-        If the kind of the file is unknown, or it is damaged.
+    RecordingError is raised if the kind of the file is unknown, or it is damaged.
     """
     with open(path, "rb") as file:
         head = file.read(MATLAB_HDF5_OFFSET + len(HDF5_MAGIC))

@@ -14,13 +14,7 @@ PACKAGES = {"h5py": "h5py", "nptdms": "nptdms", "openpyxl": "openpyxl",
 
 
 def library(module: str, path: Path) -> Any:
-    """Import a library that reads a kind of file.
-
-    Raises
-    ------
-    RecordingError
-        If it is not installed; the message names the package.
-    """
+    """Import a library that reads a kind of file; RecordingError names a missing package."""
     try:
         return import_module(module)
     except ImportError:

@@ -46,10 +46,7 @@ def is_version_4(head: bytes) -> bool:
 def read_matlab(path: Path, progress: Progress) -> list[Table]:
     """Read the variables of a MATLAB file of version 4 to 7; a structure is a group.
 
-    Raises
-    ------
-    RecordingError
-        If the file is damaged, or holds no numeric arrays.
+    RecordingError is raised if the file is damaged, or holds no numeric arrays.
     """
     with damage_reported(path, "MATLAB file"), TemporaryDirectory() as folder:
         arrays_file = Path(folder) / "arrays.npz"

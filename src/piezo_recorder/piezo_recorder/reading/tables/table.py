@@ -72,10 +72,7 @@ class Table:
 def array_columns(name: str, values: Any) -> dict[str, np.ndarray]:
     """Return the columns of a numeric array; empty if it is not such an array.
 
-    Parameters
-    ----------
-    name : str
-        Name; a two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
+    A two-dimensional array has columns NAME.1, NAME.2, ...; a structured one NAME.FIELD.
     """
     array = np.asarray(values)
     if array.dtype.names:
