@@ -18,13 +18,9 @@ WARM_UP = 200
 
 
 def computing_times_s():
-    """Return the times of the answers of the run's account with its feedback.
+    """Return the times (s) of the answers of the run's account with its feedback, by its order.
 
-    Returns
-    -------
-    dict of int to ndarray
-        By the order of the controller: the thesis' 15, and what the reduction leaves of the
-        default; each in s.
+    The orders are the thesis' 15, and what the reduction leaves of the default.
     """
     model = stage_model()
     plan = plan_feedforward(np.full(SAMPLES_PER_TICK, 50.0), model, duration_s=0.1)

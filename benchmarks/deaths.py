@@ -77,21 +77,9 @@ class Late(Exception):
 class Session:
     """All the nodes of a stage, an operator with a process of his own, and who looks after both.
 
-    A context manager that ends them. The model has the size of an identified one.
-
-    Parameters
-    ----------
-    timing : str
-        Of the stage: lockstep or paced.
-    patience_s : float
-        How long a run may take to its end, once somebody is gone (s).
-
-    Attributes
-    ----------
-    unanswered : list of str
-        What was said of requests that got no answer.
-    longest_s : float
-        That a run took to its end, once somebody was gone (s).
+    A context manager that ends them. The model has the size of an identified one. Once somebody is
+    gone, a run may take `patience_s` to its end, and took `longest_s` at most. `unanswered` is what
+    was said of requests that got no answer.
     """
 
     def __init__(self, directory, timing, patience_s):
@@ -121,21 +109,8 @@ class Session:
     def round(self, name, victim, number, mode="pi", after_s=0.0):
         """Let an operator begin a run, take somebody away, and see that the rest gets over it.
 
-        Parameters
-        ----------
-        name : str
-            Goal of the run: track or run_experiment.
-        victim : str
-            One of `VICTIMS`.
-        number : int
-            Signal that it gets.
-        after_s : float
-            After the first samples were recorded (s).
-
-        Returns
-        -------
-        faults : list of str
-            What did not happen as it must.
+        The run is track or run_experiment. `after_s` after its first samples were recorded, one of
+        `VICTIMS` gets the signal. What did not happen as it must is returned.
         """
         self._rounds += 1
         before = Path(self._directory, f"{self._rounds}_before")

@@ -59,15 +59,8 @@ def _label(entry, number):
 def compare(summaries):
     """Return for every number its name, its smallest and its largest value under the kernels.
 
-    Parameters
-    ----------
-    summaries : list of dict
-
-    Raises
-    ------
-    ValueError
-        If the summaries differ in a word or in which figures they have, as where a diagnosis names
-        another effect.
+    ValueError is raised if the summaries differ in a word or in which figures they have, as where a
+    diagnosis names another effect.
     """
     first, *others = [dict(figures(summary)) for summary in summaries]
     for other in others:

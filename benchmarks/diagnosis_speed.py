@@ -71,21 +71,9 @@ def recorded(model, samples, seed, is_heated=False):
 
 
 def diagnosis_times_s(name, samples=SAMPLES, recordings=RECORDINGS):
-    """Time of a simulation, and of the diagnosis of the same samples.
+    """Return the times (s) of a simulation, and of the diagnosis of the same samples.
 
-    Parameters
-    ----------
-    name : str
-        Of one of the `CASES`.
-
-    Returns
-    -------
-    simulation_s, diagnosis_s : float
-
-    Raises
-    ------
-    RuntimeError
-        If the diagnosis comes to another verdict.
+    The name is one of `CASES`. RuntimeError is raised if the diagnosis comes to another verdict.
     """
     case, model = CASES[name], stage_model()
     stage = replace(model, effects=case.effects)

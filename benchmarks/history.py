@@ -25,12 +25,7 @@ machine only.
 
 
 def keep(rows, folder=HISTORY):
-    """Keep the medians of this version in place of what was measured of it before.
-
-    Parameters
-    ----------
-    rows : list of table.Row
-    """
+    """Keep the medians of this version in place of what was measured of it before."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     folder.mkdir(exist_ok=True)
     (folder / f"{project['version']}.json").write_text(json.dumps({

@@ -24,14 +24,7 @@ def voltages(count):
 
 
 def samples_per_s(levels):
-    """Speed of every method on a grid of so many levels.
-
-    Returns
-    -------
-    speeds : dict of str to float
-        Keys "forward" and "inverse", and the same by "Everett look-up", "compiled relays" and
-        "NumPy relays".
-    """
+    """Return the speed of every method on a grid of so many levels, by its name."""
     model = preisach_model(levels)
     alpha_v, beta_v, weight_um = relays = cell_centre_relays(model)
     many_v, few_v = voltages(SAMPLES), voltages(RELAY_SAMPLES)

@@ -18,24 +18,11 @@ PING_PONG_TIMEOUT_S = 120.0
 
 
 def closed_loop(directory, simulated_s, executables):
-    """Speed of the loop in lockstep.
+    """Return the simulated seconds per second of the loop in lockstep.
 
-    Parameters
-    ----------
-    simulated_s : float
-        How long to track, in time of the stage (s).
-    executables : dict of str to dict
-        The processes of the loop with their parameters.
-
-    Returns
-    -------
-    simulated_s_per_s : float
-        From the stage's first diagnostics message while it tracks to the last.
-
-    Raises
-    ------
-    ValueError
-        If it tracked for too short a time to tell.
+    The processes of the loop are given with their parameters. The time is from the stage's first
+    diagnostics message while it tracks to the last; ValueError is raised if it tracked for too
+    short a time to tell.
     """
     progress = _track(directory, simulated_s, executables)
     if len(progress) < 2:

@@ -32,12 +32,8 @@ def answer_v(tick):
 class PacedRun(PacedAccount):
     """Answers the blocks of a run and keeps the account of it; see `PacedAccount`.
 
-    Attributes
-    ----------
-    disturbed_ticks : int
-        With another voltage than feedforward and an answer.
-    held_ticks : int
-        Flagged as without an answer.
+    Ticks are disturbed that had another voltage than feedforward and an answer, and held that were
+    flagged as without an answer.
     """
 
     def __init__(self, client):

@@ -12,16 +12,8 @@ DIAGNOSTICS_S = 3.0
 class PacedAccount:
     """Keep the account of a stage that keeps the wall clock's pace.
 
-    Attributes
-    ----------
-    ticks : int
-        Tracked, as far as `account` counts them.
-    lost_samples : int
-        Missing in the sample index, because this client was more than 2 s late.
-    missed_feedback : int
-        Counted by the stage.
-    described : dict of str to str
-        Of the stage's diagnostics.
+    Samples are lost that are missing in the sample index, because this client was more than 2 s
+    late; missed feedback is counted by the stage, and `described` holds its diagnostics.
     """
 
     def __init__(self, client):

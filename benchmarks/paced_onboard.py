@@ -33,12 +33,7 @@ SPIN = "while True: pass"
 class OnboardRun(PacedAccount):
     """Keeps the account of a run whose feedback the stage evaluates; see `PacedAccount`.
 
-    Attributes
-    ----------
-    fed_back_ticks : int
-        Those of the ticks whose feedback was told.
-    bare_timer : dict
-        Of a timer that does nothing, see `bare_timer`.
+    Of its ticks those are fed back whose feedback was told. For `bare_timer` see the function.
     """
 
     def __init__(self, client):

@@ -97,12 +97,9 @@ def response(model, frequency_hz, sample_period_s):
 
 
 def fit_all(method, records, time_limit_s):
-    """Responses and times of the records, until the time is over.
+    """Return responses and times of the records, until the time is over.
 
-    Returns
-    -------
-    fits : list of dict
-        Keys "time_s", and either "response" (real and imaginary parts) or "error".
+    Each fit has "time_s", and either "response" (real and imaginary parts) or "error".
     """
     input, frequency_hz = records["input"], records["frequency_hz"]
     sample_period_s = float(records["sample_period_s"])

@@ -23,13 +23,7 @@ DYNAMICS = ElectricVibrationDynamics(0.00049, (2846.0, 4909.0), (0.68535, 0.0819
 
 
 def preisach_model(levels):
-    """Hysteresis with a density that falls off beside the line alpha = beta (um/V^2).
-
-    Parameters
-    ----------
-    levels : int
-        Cells along each side of the Preisach triangle.
-    """
+    """Hysteresis with a density that falls off beside the line alpha = beta (um/V^2)."""
     lowest_v, highest_v = VOLTAGE_RANGE_V
     centres_v = lowest_v + (np.arange(levels) + 0.5) * (highest_v - lowest_v) / levels
     width_v = centres_v[:, None] - centres_v[None, :]

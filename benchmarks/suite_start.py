@@ -20,10 +20,8 @@ WAVEFORM = "time_s,voltage_v\n" + "".join(
 def first_recording_s() -> float:
     """Return the seconds from the start of the suite until a waveform was played and recorded.
 
-    Raises
-    ------
-    RuntimeError
-        If no waveform could be recorded in two minutes; the text ends with what the client said.
+    RuntimeError is raised if none could be recorded in two minutes; it ends with what the client
+    said.
     """
     environment = {**os.environ}
     environment.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None)  # of this process alone

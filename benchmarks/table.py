@@ -38,13 +38,7 @@ class Row:
 
 
 class Measurements(defaultdict):
-    """Values by (name, unit) of the row.
-
-    Attributes
-    ----------
-    remarks : dict of str to str
-        By the name of the row.
-    """
+    """Values by (name, unit) of the row, and remarks by the name of the row."""
 
     def __init__(self):
         super().__init__(list)
