@@ -64,15 +64,18 @@ class TruncatedSvd:
         )
 
 
-def truncated_svd(equations: NormalEquations, ratio: float = 1e-3,
+def truncated_svd(equations: NormalEquations, ratio: float = 0.0, least: float = 0.0,
                   rank: int | None = None) -> TruncatedSvd:
-    """Keep `rank` singular values, or those above a ratio of the largest, (2.8)-(2.11).
+    """Keep `rank` singular values, or those above two bounds, (2.8)-(2.11).
+
+    The bounds are `least` and a ratio of the largest value.
 
     ValueError is raised if none is kept.
     """
     values, vectors = np.linalg.eigh(equations.matrix)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
-    rank = int(np.count_nonzero(values > ratio * values[0])) if rank is None else rank
+    if rank is None:
+        rank = int(np.count_nonzero(values > max(least, ratio * values[0])))
     if rank < 1 or values[rank - 1] <= 0.0:
         raise ValueError(
             f"no {max(rank, 1)} singular values are above zero: keep fewer, or add samples"

@@ -14,7 +14,7 @@ from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import record_stage
-from piezo_studies.thesis.pictures import draw_plane, draw_singular_values
+from piezo_studies.thesis.pictures import draw_estimate
 from piezo_studies.thesis.slow_hysteresis import (
     CLOCK_HZ,
     HIGHEST_V,
@@ -49,12 +49,10 @@ def study():
 
     output_um = np.interp(sampled_s, time_s, steady_um)
     equations = accumulate(sampled_v, output_um, levels_v)
-    values = truncated_svd(equations, rank=1).all_singular_values
+    estimate = density_by_svd(
+        truncated_svd(equations, least=LEAST_SINGULAR_VALUE), sampled_v, levels_v)
+    values = estimate.singular_values
     rank = int(np.count_nonzero(values > 1e-9 * values[0]))
-    decomposition = truncated_svd(
-        equations, rank=int(np.count_nonzero(values > LEAST_SINGULAR_VALUE))
-    )
-    estimate = density_by_svd(decomposition, sampled_v, levels_v)
     error_um = estimate.model().simulate(voltage_v) - steady_um
     rows = [
         Row(SECTION, "sampled points", 3661, sampled_v.size, "1"),
@@ -76,7 +74,7 @@ def study():
     ]
     return Study(rows, {
         "3.5": _draw_drift(time_s[starts], displacement_um[starts], drift, steady_um[starts]),
-        "3.6": _draw_identified(estimate),
+        "3.6": draw_estimate(estimate, LEAST_SINGULAR_VALUE),
     })
 
 
@@ -92,12 +90,4 @@ def _draw_drift(time_s, displacement_um, drift, steady_um):
     label(left, "time (s)", "drift (um)")
     right.plot(time_s, 1e3 * steady_um, color=VERMILION, marker=".", linestyle="none")
     label(right, "time (s)", "remaining drift (nm)")
-    return figure
-
-
-def _draw_identified(estimate):
-    figure = new_figure(2.6)
-    left, right = figure.subplots(1, 2)
-    draw_singular_values(left, estimate.singular_values, LEAST_SINGULAR_VALUE)
-    draw_plane(figure, right, estimate.levels_v, estimate.density_um_per_v2, "density (um/V²)")
     return figure

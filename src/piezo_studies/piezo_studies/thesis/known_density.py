@@ -49,9 +49,7 @@ def study():
     def least_squares(chosen):
         def estimate(output_um):
             equations = accumulate(voltage_v, output_um, levels_v, chosen)
-            values = truncated_svd(equations, rank=1).all_singular_values
-            rank = int(np.count_nonzero(values > 1e-9 * values[0]))
-            return density_by_svd(truncated_svd(equations, rank=rank), voltage_v, levels_v)
+            return density_by_svd(truncated_svd(equations, 1e-9), voltage_v, levels_v)
 
         return estimate
 

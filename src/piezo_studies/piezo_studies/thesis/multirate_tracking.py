@@ -39,8 +39,7 @@ def study():
             tracked = track(mode, frequency_hz, amplitude_um, samples_per_tick)
             rows.append(Row("5.3.2", f"e_rms at {sine}, {name}",
                             thesis if mode == "composite" else None, tracked.e_rms_percent, "%",
-                            tracked.feedforward_remark if mode == "feedforward"
-                            else tracked.remark))
+                            tracked.remark))
         jumped = track("composite", frequency_hz, amplitude_um, jump_s=JUMP_S)
         rows.append(Row("5.3.2", f"settling at {sine} after an offset", 0.020,
                         settling_s(jumped.error_um), "s",

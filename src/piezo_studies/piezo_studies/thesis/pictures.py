@@ -5,7 +5,7 @@ import io
 
 import numpy as np
 
-from piezo_common.picture_style import BLUE, LIMIT, label
+from piezo_common.picture_style import BLUE, LIMIT, label, new_figure
 
 DOTS_PER_INCH = 85
 
@@ -25,8 +25,16 @@ def draw_plane(figure, axes, levels_v, values, unit):
     axes.grid(False)
 
 
-def draw_singular_values(axes, values, threshold):
-    """Draw singular values in descending order, and the truncation threshold."""
+def draw_estimate(estimate, threshold):
+    """Draw the singular values of an estimate with the truncation threshold, and its density."""
+    figure = new_figure(2.6)
+    left, right = figure.subplots(1, 2)
+    _draw_singular_values(left, estimate.singular_values, threshold)
+    draw_plane(figure, right, estimate.levels_v, estimate.density_um_per_v2, "density (um/V²)")
+    return figure
+
+
+def _draw_singular_values(axes, values, threshold):
     shown = values[values > 1e-9 * values[0]]
     axes.semilogy(np.arange(1, shown.size + 1), shown, color=BLUE)
     axes.axhline(threshold, label="truncated below", **LIMIT)

@@ -87,8 +87,7 @@ def study():
     for column, (place, (frequency_hz, amplitude_um)) in enumerate(zip(axes, SINES, strict=True)):
         for name, mode, samples_per_tick, method in COLUMNS:
             tracked = track(mode, frequency_hz, amplitude_um, samples_per_tick, method=method)
-            remark = {"open_loop": OPEN_LOOP, "feedforward": tracked.feedforward_remark}.get(
-                mode, tracked.remark)
+            remark = OPEN_LOOP if mode == "open_loop" else tracked.remark
             thesis = THESIS_PERCENT[name][column] if name in THESIS_PERCENT else None
             rows.append(Row(SECTION, f"Table 3.1: e_rms at {frequency_hz:g} Hz, {name}", thesis,
                             tracked.e_rms_percent, "%", remark))

@@ -26,7 +26,7 @@ from piezo_studies.baselines.sampling_rules import sample_by_voltage
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import record_stage
-from piezo_studies.thesis.pictures import draw_plane, draw_singular_values
+from piezo_studies.thesis.pictures import draw_estimate
 
 LEVELS = 60
 HIGHEST_V = 60.0
@@ -59,10 +59,7 @@ def identified_hysteresis():
     output_um, _ = remove_polynomial_drift(time_s, played.displacement_um, starts)
     output_um = output_um - output_um[starts].mean()
     equations = accumulate(voltage_v, output_um, levels_v)
-    values = truncated_svd(equations, rank=1).all_singular_values
-    decomposition = truncated_svd(
-        equations, rank=int(np.count_nonzero(values > LEAST_SINGULAR_VALUE))
-    )
+    decomposition = truncated_svd(equations, least=LEAST_SINGULAR_VALUE)
     return density_by_svd(decomposition, voltage_v, levels_v), voltage_v, output_um
 
 
@@ -105,7 +102,7 @@ def study():
             "this one is in Fig. 2.8 (b), which has no figure"),
     ]
     return Study(rows, {
-        "2.7": _draw_identified(estimate, LEAST_SINGULAR_VALUE),
+        "2.7": draw_estimate(estimate, LEAST_SINGULAR_VALUE),
         "2.8": _draw_validation(loop_v, loop_um, simulated_um, reference_um, tracked_um),
     })
 
@@ -116,14 +113,6 @@ def _settled_loop(period_v):
     last = slice(-period_v.size, None)
     displacement_um = played.displacement_um[last]
     return played.voltage_v[last], displacement_um - displacement_um.mean()
-
-
-def _draw_identified(estimate, threshold):
-    figure = new_figure(2.6)
-    left, right = figure.subplots(1, 2)
-    draw_singular_values(left, estimate.singular_values, threshold)
-    draw_plane(figure, right, estimate.levels_v, estimate.density_um_per_v2, "density (um/V²)")
-    return figure
 
 
 def _draw_validation(loop_v, loop_um, simulated_um, reference_um, tracked_um):

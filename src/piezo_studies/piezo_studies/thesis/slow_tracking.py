@@ -42,9 +42,7 @@ def study():
             tracked = track(mode, frequency_hz, AMPLITUDE_UM, samples_per_tick, duration_s, method)
             thesis = THESIS_PERCENT[name][column] if name in THESIS_PERCENT else None
             rows.append(Row(section, f"e_rms at {frequency_hz:g} Hz, {name}", thesis,
-                            tracked.e_rms_percent, "%",
-                            tracked.feedforward_remark if mode == "feedforward"
-                            else tracked.remark))
+                            tracked.e_rms_percent, "%", tracked.remark))
             if name in ("PID at 40 kHz", "composite"):
                 period = round(40_000 / frequency_hz)
                 time_ms = 1e3 * np.arange(period) / 40_000

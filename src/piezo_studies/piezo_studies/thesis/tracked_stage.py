@@ -46,6 +46,8 @@ FAST = 1
 class Tracked:
     """The errors of one tracking run."""
 
+    mode: str
+
     e_rms_percent: float
     true_e_rms_percent: float
     centred_e_rms_percent: float
@@ -58,13 +60,10 @@ class Tracked:
 
     @property
     def remark(self):
-        """Remark on the error of the true position, for a table."""
+        """Remark for a table: a feedforward cannot correct the offset; else the true error."""
+        if self.mode == "feedforward":
+            return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot predict"
         return f"true position: {self.true_e_rms_percent:.2g} %"
-
-    @property
-    def feedforward_remark(self):
-        """Remark on the error without the offset, which a feedforward cannot correct."""
-        return f"{self.centred_e_rms_percent:.2g} % without the offset, which it cannot predict"
 
 
 @cache
@@ -129,7 +128,7 @@ def track(mode, frequency_hz, amplitude_um, samples_per_tick=40, duration_s=DURA
     reference_um = plan.expected_um(first, total - first)
     measured_um = played.displacement_um[first:]
     return Tracked(
-        e_rms_percent(reference_um, measured_um),
+        mode, e_rms_percent(reference_um, measured_um),
         e_rms_percent(reference_um, np.concatenate(true_um)[first:]),
         e_rms_percent(reference_um, measured_um, remove_offset=True),
         reference_um - measured_um, reference_um, played)
