@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recordings with the drive of the modes in place of the voltage."""
+"""Models with another actuator, and recordings with the drive of the modes as their voltage."""
 
 from dataclasses import replace
 
@@ -8,12 +8,22 @@ import numpy as np
 from piezo_identification.axes.predict_axes import (
     circumstances_of,
     creep_decays,
+    driven_v,
     fitted,
+    mean_period,
     simulated_um,
 )
 from piezo_identification.axes.spectra import played_lines
+from piezo_models.axes.actuator import Actuator
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
+
+
+def with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:
+    """Return a model with another actuator of one axis."""
+    actuators = list(model.actuators or (Actuator(),) * len(model.axes))
+    actuators[axis] = actuator
+    return replace(model, actuators=tuple(actuators))
 
 
 def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
@@ -22,10 +32,9 @@ def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
     The drive of a periodic voltage is reduced to the lines of the voltage: between them hysteresis
     adds too little to determine a response.
     """
-    periods = recording.periods or 1
-    voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
+    voltage_v = mean_period(recording, recording.voltage_v)
     circumstances = circumstances_of(model, recording)
-    drive_v = model.drive_v(voltage_v, bool(recording.periods), circumstances.pasts)
+    drive_v = driven_v(model, recording, circumstances)
     resting = np.ptp(voltage_v, axis=0) == 0.0
     drive_v[:, resting] = drive_v[0, resting]  # without the rounding of the creep
     if recording.periods:
@@ -34,5 +43,5 @@ def with_drive(model: CoupledModel, recording: AxesRecording) -> AxesRecording:
         drive_v = drive_v.mean(axis=0) + np.fft.irfft(lines, len(drive_v), axis=0)
     crept_um = fitted(creep_decays(model, recording), recording.displacement_um - simulated_um(
         model, recording, circumstances))
-    return replace(recording, voltage_v=np.tile(drive_v, (periods, 1)),
+    return replace(recording, voltage_v=np.tile(drive_v, (recording.periods or 1, 1)),
                    displacement_um=recording.displacement_um - crept_um)

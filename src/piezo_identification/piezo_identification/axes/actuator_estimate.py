@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.axes.actuator_drive import with_actuator
 from piezo_identification.axes.predict_axes import (
     circumstances_of,
     predict_several_axes,
@@ -70,11 +71,11 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
     if not model.actuators:
         ringing = _ringing(model)
         # What rings after a step is as large as what the hysteresis passes on of it.
-        model = _with_actuator(model, axis, Actuator())
+        model = with_actuator(model, axis, Actuator())
         rough = _density(model, axis, loops, ROUGH_LEVELS, smoothing=ROUGH_SMOOTHING)
-        model = _with_actuator(model, axis, Actuator(rough.model()))
+        model = with_actuator(model, axis, Actuator(rough.model()))
     creep = _creep([_alone(model, axis, each) for each in steps], ringing)
-    model = _with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
+    model = with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
     if near is not None and near.plays is None:
         near = None  # cells of the first round are too few to choose by
     density = _density(model, axis, loops, levels, near)
@@ -101,12 +102,6 @@ def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bo
         best = fit if is_better(fit, best) and drifting.is_possible(fit) else best
     loops = next((each for each in best.model.effects if isinstance(each, BoucWenHysteresis)), None)
     return Actuator(best.model.hysteresis, best.model.creep, bouc_wen=loops)
-
-
-def _with_actuator(model: CoupledModel, axis: int, actuator: Actuator) -> CoupledModel:
-    actuators = list(model.actuators or (Actuator(),) * len(model.axes))
-    actuators[axis] = actuator
-    return replace(model, actuators=tuple(actuators))
 
 
 def _ringing(model: CoupledModel) -> ElectricVibrationDynamics:

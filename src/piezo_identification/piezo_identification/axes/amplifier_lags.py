@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.axes.actuator_drive import with_drive
+from piezo_identification.axes.actuator_drive import with_actuator, with_drive
 from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
 from piezo_identification.axes.order_search import TAPS, local_evidence_of
 from piezo_identification.axes.spectra import Spectrum, driven_otherwise, reweighted, spectrum_of
@@ -69,9 +69,7 @@ def _best_of_axis(model: CoupledModel, axis: int, tried_s: FloatArray,
 
 
 def _lagging(model: CoupledModel, axis: int, lag_s: float) -> CoupledModel:
-    actuators = [*model.actuators]
-    actuators[axis] = replace(actuators[axis], lag_s=float(lag_s))
-    return replace(model, actuators=tuple(actuators))
+    return with_actuator(model, axis, replace(model.actuators[axis], lag_s=float(lag_s)))
 
 
 def _fit_of(model: CoupledModel, spectra: Sequence[Spectrum], steps: ComplexArray,

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.axes.actuator_drive import with_actuator
 from piezo_identification.axes.free_axes import FreeAxes
 from piezo_identification.axes.predict_axes import (
     circumstances_of,
     creep_decays,
     decays,
+    mean_period,
     simulated_um,
 )
 from piezo_identification.axes.spectra import played_lines
@@ -68,11 +70,10 @@ class _Part:
         self.recording, self._rows = recording, rows
         self.band = np.zeros(rows.size, dtype=int)
         if recording.periods:
-            voltage_v, displacement_um = (
-                signal.reshape(recording.periods, -1, len(model.axes)).mean(axis=0)
-                for signal in (recording.voltage_v, recording.displacement_um))
+            voltage_v = mean_period(recording, recording.voltage_v)
             self.recording = replace(
-                recording, voltage_v=voltage_v, displacement_um=displacement_um, periods=1)
+                recording, voltage_v=voltage_v, periods=1,
+                displacement_um=mean_period(recording, recording.displacement_um))
             lines = 1 + np.flatnonzero(played_lines(np.fft.rfft(voltage_v, axis=0)))[-1]
             number = np.arange(1, lines)
             self.band = np.repeat(np.log2(np.maximum(number / LOWEST_BAND, 1.0)).astype(int), 2)
@@ -256,9 +257,8 @@ class AxesErrors:
                 if is_known and self._is_hysteresis[place]:
                     continue
                 check_cancelled()
-                actuators = [*model.actuators]
-                actuators[axis] = free.actuator_at(axis, _stepped(vector, place))
-                changed = replace(model, actuators=tuple(actuators))
+                changed = with_actuator(
+                    model, axis, free.actuator_at(axis, _stepped(vector, place)))
                 moved_um = (part.crept(changed) - decaying) @ self._at(vector)[index].crept_um
                 if np.ptp(drive_v[:, axis]) > 0.0:
                     change_v = part.drive_v(changed, axis) - drive_v[:, axis]

@@ -21,8 +21,8 @@ from piezo_identification.axes.predict_axes import (
     SAME_PERIOD,
     circumstances_of,
     decays,
+    driven_v,
     predict_several_axes,
-    rows_apart,
     simulated_um,
 )
 from piezo_identification.axes.spectra import with_rough_deviations
@@ -163,7 +163,8 @@ class ErrorsInRecording(DiagnosedErrors):
         self._recording = recording
         self.given = self.reported(model)
         self._circumstances = circumstances_of(model, recording)
-        self._driven = self._with_drive(recording)
+        self._driven = replace(recording, voltage_v=np.tile(
+            driven_v(model, recording, self._circumstances), (recording.periods or 1, 1)))
         before = decays(model, recording)
         self._nuisance = np.linalg.svd(np.column_stack([
             np.ones(rows.size), before - before.mean(axis=0)]), full_matrices=False)[0]
@@ -178,15 +179,6 @@ class ErrorsInRecording(DiagnosedErrors):
         self._know(self.noise_um, np.hypot(
             SETTINGS.model_tolerance * np.ptp(recording.displacement_um, axis=0),
             np.sqrt(np.maximum(known_um**2 - self.noise_um**2, 0.0))))
-
-    def _with_drive(self, recording: AxesRecording) -> AxesRecording:
-        """Return the recording with the drive of the modes instead of the voltage."""
-        model, how, periods = self.model, self._circumstances, recording.periods or 1
-        voltage_v = recording.voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
-        if rows_apart(model, recording) != 1.0:
-            model = model.at_period(recording.sample_period_s, not how.is_held)
-        drive_v = model.drive_v(voltage_v, bool(recording.periods), how.pasts, not how.is_held)
-        return replace(recording, voltage_v=np.tile(drive_v, (periods, 1)))
 
     def errors_um(self, model: CoupledModel) -> FloatArray:
         """Return the errors of a model, (N, n)."""

@@ -94,15 +94,14 @@ def fitted_modes(
 
 
 def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
-                   is_open: bool, times: int = REWEIGHTINGS,
-                   ) -> tuple[CoupledFit, list[Spectrum]]:
+                   is_open: bool) -> tuple[CoupledFit, list[Spectrum]]:
     """Return the fit whose deviations are its own residual, with its spectra.
 
     Beside light modes a model that is not refined leaves many times the noise, where the lines tell
     most of their frequency. If it is open, poles without evidence may be left out.
     """
     with while_time_lasts(FURTHER_REFINEMENT):
-        for _ in range(times):
+        for _ in range(REWEIGHTINGS):
             spectra = [reweighted(each, residual)
                        for each, residual in zip(spectra, fit.residual, strict=True)]
             fit = refined(fit.numbers, spectra, FINAL_STEPS)

@@ -154,15 +154,34 @@ def rows_apart(model: CoupledModel, recording: AxesRecording) -> float:
 def simulated_um(model: CoupledModel, recording: AxesRecording,
                  circumstances: Circumstances) -> FloatArray:
     """Return the displacement that a model simulates at the rows of a recording, (N, n)."""
-    rows = rows_apart(model, recording)
-    voltage_v, periods = recording.voltage_v, recording.periods or 1
-    if recording.periods:
-        voltage_v = voltage_v.reshape(periods, -1, len(model.axes)).mean(axis=0)
-    if rows != 1.0:
-        model = model.at_period(recording.sample_period_s, not circumstances.is_held)
-    displacement_um = model.simulate(voltage_v, bool(recording.periods), circumstances.pasts,
-                                     not circumstances.is_held)
-    return np.tile(displacement_um, (periods, 1))
+    displacement_um = _at_rows(model, recording, circumstances).simulate(
+        mean_period(recording, recording.voltage_v), bool(recording.periods), circumstances.pasts,
+        not circumstances.is_held)
+    return np.tile(displacement_um, (recording.periods or 1, 1))
+
+
+def driven_v(model: CoupledModel, recording: AxesRecording,
+             circumstances: Circumstances) -> FloatArray:
+    """Return the drive of the modes under the mean period of a recording, (N, n)."""
+    return _at_rows(model, recording, circumstances).drive_v(
+        mean_period(recording, recording.voltage_v), bool(recording.periods), circumstances.pasts,
+        not circumstances.is_held)
+
+
+def mean_period(recording: AxesRecording, signal: FloatArray) -> FloatArray:
+    """Return the mean period of a signal of all axes; the signal if it does not repeat."""
+    if not recording.periods:
+        return signal
+    mean: FloatArray = signal.reshape(recording.periods, -1, len(recording.axes)).mean(axis=0)
+    return mean
+
+
+def _at_rows(model: CoupledModel, recording: AxesRecording,
+             circumstances: Circumstances) -> CoupledModel:
+    """Return the model for the sample period of a recording."""
+    if rows_apart(model, recording) == 1.0:
+        return model
+    return model.at_period(recording.sample_period_s, not circumstances.is_held)
 
 
 def decays(model: CoupledModel, recording: AxesRecording,

@@ -9,6 +9,7 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.axes.axes_response import AxesResponse
+from piezo_identification.axes.predict_axes import mean_period
 from piezo_identification.estimators.frequency_response.response_search import weight_of_noise
 from piezo_recorder.reading.axes import AxesRecording
 
@@ -189,8 +190,7 @@ def spectrum_of(recording: AxesRecording) -> Spectrum:
 
 def driven_otherwise(spectrum: Spectrum, recording: AxesRecording) -> Spectrum:
     """Return the spectrum of a recording with the drive of another one of the same samples."""
-    periods = recording.periods or 1
-    drive_v = recording.voltage_v.reshape(periods, -1, spectrum.drive.shape[1]).mean(axis=0)
+    drive_v = mean_period(recording, recording.voltage_v)
     lines = np.round(np.angle(spectrum.z) * len(drive_v) / (2.0 * np.pi)).astype(int)
     return replace(spectrum, drive=np.fft.rfft(drive_v, axis=0)[lines])
 
