@@ -13,9 +13,7 @@ import numpy as np
 from stage_model import SAMPLE_RATE_HZ, stage_model
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.joint.identification_recordings import (
-    IdentificationRecordings,
-)
+from piezo_identification.diagnosis.joint.identification_recordings import IdentificationRecordings
 from piezo_models.effects import Effect
 from piezo_models.effects.rate_dependent_hysteresis import RateDependentHysteresis
 from piezo_models.effects.vibration_mode import VibrationMode

@@ -14,9 +14,7 @@ from stage_model import SAMPLE_RATE_HZ, VOLTAGE_RANGE_V, stage_model
 from table import Measurements, show
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_identification.diagnosis.joint.identification_recordings import (
-    IdentificationRecordings,
-)
+from piezo_identification.diagnosis.joint.identification_recordings import IdentificationRecordings
 from piezo_identification.experiments import catalogue
 from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.identification.identify import identify

@@ -11,14 +11,7 @@ if TYPE_CHECKING:
     from piezo_offline.comparison import Comparison, compare
     from piezo_offline.files import load_model, save_model
     from piezo_offline.python_data import DataWarning, read
-    from piezo_offline.steps import (
-        design,
-        diagnose,
-        extend,
-        identify,
-        plot_residuals,
-        simulate,
-    )
+    from piezo_offline.steps import design, diagnose, extend, identify, plot_residuals, simulate
 
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 

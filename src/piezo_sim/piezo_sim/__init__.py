@@ -13,6 +13,4 @@ if TYPE_CHECKING:
 
 __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
-__all__ = [
-    "Plant", "PlantConfigError", "SimulatedStage", "Surroundings", "read_plant",
-]
+__all__ = ["Plant", "PlantConfigError", "SimulatedStage", "Surroundings", "read_plant"]

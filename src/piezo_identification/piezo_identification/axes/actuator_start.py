@@ -12,12 +12,7 @@ from piezo_identification.axes.actuator_estimate import estimate_actuators
 from piezo_identification.axes.amplifier_lags import with_amplifier_lags
 from piezo_identification.axes.coupled_fit import CoupledFit
 from piezo_identification.axes.modal_model import coupled_model
-from piezo_identification.axes.modes_fit import (
-    Note,
-    Progress,
-    fitted_modes,
-    without_slow_poles,
-)
+from piezo_identification.axes.modes_fit import Note, Progress, fitted_modes, without_slow_poles
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import Spectrum, spectra_of_levels
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate

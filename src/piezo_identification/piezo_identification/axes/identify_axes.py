@@ -10,11 +10,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import Budget, spending
 from piezo_identification.axes.actuator_start import start_of_actuators
 from piezo_identification.axes.axes_response import AxesResponse
-from piezo_identification.axes.coupled_fit import (
-    CoupledFit,
-    covariances,
-    covariances_of_correlated,
-)
+from piezo_identification.axes.coupled_fit import CoupledFit, covariances, covariances_of_correlated
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
 from piezo_identification.axes.modal_model import coupled_model, modal_model, residues_of
 from piezo_identification.axes.modes_fit import JUDGED_STEPS, Note, Progress, fitted_modes

@@ -20,10 +20,7 @@ from piezo_identification.axes.order_search import (
     without_weak_poles,
 )
 from piezo_identification.axes.sensor_delays import further_latencies, latencies
-from piezo_identification.axes.spectra import (
-    Spectrum,
-    reweighted,
-)
+from piezo_identification.axes.spectra import Spectrum, reweighted
 from piezo_models.axes.identified_axes import LIGHT
 
 MOST_PAIRS = 40

@@ -8,13 +8,7 @@ from dataclasses import dataclass
 from piezo_recorder.reading.columns import ColumnsDocument, SignalColumn
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.table import Table, listing
-from piezo_recorder.reading.units import (
-    SIGNALS,
-    is_unit,
-    name_and_unit,
-    scale_of,
-    signal_of_unit,
-)
+from piezo_recorder.reading.units import SIGNALS, is_unit, name_and_unit, scale_of, signal_of_unit
 
 OWN_LABELS = {"time": "time_s", "voltage": "voltage_v", "displacement": "displacement_um"}
 """Labels in the suite's own CSV files."""

@@ -5,16 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from rasters import (
-    CENTRE_UM,
-    COLUMNS,
-    PIXEL_UM,
-    ROWS,
-    frame,
-    raster,
-    recorded,
-    specimen,
-)
+from rasters import CENTRE_UM, COLUMNS, PIXEL_UM, ROWS, frame, raster, recorded, specimen
 from scipy.ndimage import map_coordinates
 
 from piezo_common.gsf import read_gsf, write_gsf

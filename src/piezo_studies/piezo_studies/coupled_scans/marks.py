@@ -15,12 +15,7 @@ from piezo_controller.axes.stored_scan import StoredScan, stored_scan
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.sample_block import Mark
 from piezo_sim.simulated_stage import SimulatedStage
-from piezo_studies.coupled_scans.xy_stage import (
-    PLANT,
-    VOLTAGE_RANGE_V,
-    moving,
-    plant_of_study,
-)
+from piezo_studies.coupled_scans.xy_stage import PLANT, VOLTAGE_RANGE_V, moving, plant_of_study
 from piezo_studies.tables import markdown_table
 
 SIZE_UM, LINES = 20.0, 16

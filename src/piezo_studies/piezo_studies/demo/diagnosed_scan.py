@@ -23,12 +23,7 @@ from piezo_recorder.images.image_page import distortion, write_images
 from piezo_recorder.images.scan_image import image_of
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_studies.coupled_scans.images import SIZE_UM, fields_figure, grating_under
-from piezo_studies.coupled_scans.xy_stage import (
-    VOLTAGE_RANGE_V,
-    imaged,
-    linear_plant,
-    recorded,
-)
+from piezo_studies.coupled_scans.xy_stage import VOLTAGE_RANGE_V, imaged, linear_plant, recorded
 
 LINES, RATE_HZ = 128, 125.0
 """Lines of the image, and lines a second: the third harmonic lies near the second mode."""

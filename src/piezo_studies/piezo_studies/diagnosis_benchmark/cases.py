@@ -66,9 +66,7 @@ def draw_cases(count, seed):
     )
     causes: list[tuple[str, ...]] = [()] * clean
     causes += [(name,) for name in _in_turn(list(CAUSES_OUTSIDE), outside, random)]
-    causes += [
-        (name, _another(name, random)) for name in _in_turn(list(CAUSES), pairs, random)
-    ]
+    causes += [(name, _another(name, random)) for name in _in_turn(list(CAUSES), pairs, random)]
     causes += [(name,) for name in _in_turn(list(CAUSES), count - len(causes), random)]
     kinds = _kinds(count, random)
     cases = []

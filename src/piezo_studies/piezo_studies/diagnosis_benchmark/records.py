@@ -75,9 +75,7 @@ def _folded(span, values):
     return span - np.abs(values % (2.0 * span) - span)
 
 
-KINDS = {
-    "designed": designed, "sweep": sweep, "random_levels": random_levels, "tracking": tracking,
-}
+KINDS = {"designed": designed, "sweep": sweep, "random_levels": random_levels, "tracking": tracking}
 
 
 def identification_experiments():

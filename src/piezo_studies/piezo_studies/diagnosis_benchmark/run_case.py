@@ -11,9 +11,7 @@ from piezo_identification.diagnosis.comparison.criteria import lack_of_fit
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.evidence.known_noise import noise_of_model
 from piezo_identification.diagnosis.experiment_design.decide import decide
-from piezo_identification.diagnosis.joint.identification_recordings import (
-    IdentificationRecordings,
-)
+from piezo_identification.diagnosis.joint.identification_recordings import IdentificationRecordings
 from piezo_identification.diagnosis.report.diagnosis_results import stated_error_um
 from piezo_identification.estimators.creep.square_wave_creep import CreepNotShown
 from piezo_identification.estimators.frequency_response.response_fit import ResponseOrder

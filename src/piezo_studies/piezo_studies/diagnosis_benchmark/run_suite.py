@@ -10,12 +10,7 @@ from piezo_identification.diagnosis.many.many_recordings import cluster_client
 from piezo_studies.diagnosis_benchmark.calibration_section import write_section
 from piezo_studies.diagnosis_benchmark.cases import draw_cases, draw_cases_all_along
 from piezo_studies.diagnosis_benchmark.coverage import coverage
-from piezo_studies.diagnosis_benchmark.outcome import (
-    as_text,
-    refused,
-    summary,
-    without_experiments,
-)
+from piezo_studies.diagnosis_benchmark.outcome import as_text, refused, summary, without_experiments
 from piezo_studies.diagnosis_benchmark.reliability import calibrate
 from piezo_studies.diagnosis_benchmark.run_case import clean_model, run_case
 from piezo_studies.diagnosis_benchmark.short_case import draw_short_cases, run_short_case

@@ -18,11 +18,7 @@ from piezo_studies.diagnosis_benchmark.coverage import (
 )
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES, CAUSES_OUTSIDE
 from piezo_studies.diagnosis_benchmark.plants import draw_plant, noise_um
-from piezo_studies.diagnosis_benchmark.run_case import (
-    described,
-    drawn_effects,
-    responses_um,
-)
+from piezo_studies.diagnosis_benchmark.run_case import described, drawn_effects, responses_um
 
 PLANTS = 5
 """Number of plants for a seed; few, as an identification takes as long as a dozen diagnoses."""

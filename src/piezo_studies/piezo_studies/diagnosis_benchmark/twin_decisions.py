@@ -6,9 +6,7 @@ import argparse
 import numpy as np
 
 from piezo_identification.diagnosis.experiment_design.decide import decide
-from piezo_identification.diagnosis.joint.identification_recordings import (
-    IdentificationRecordings,
-)
+from piezo_identification.diagnosis.joint.identification_recordings import IdentificationRecordings
 from piezo_studies.diagnosis_benchmark import records
 from piezo_studies.diagnosis_benchmark.effect_draws import draw_effect
 from piezo_studies.diagnosis_benchmark.plants import draw_plant

@@ -26,12 +26,7 @@ from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamic
 from piezo_recorder.reading.recording import Recording
 from piezo_studies.marked_sections import with_sections
 from piezo_studies.tables import markdown_table
-from piezo_studies.thesis.laboratory import (
-    CLOCK_HZ,
-    ROWS_LATE,
-    record_experiment,
-    record_stage,
-)
+from piezo_studies.thesis.laboratory import CLOCK_HZ, ROWS_LATE, record_experiment, record_stage
 
 SLOW_HZ, CREEP_HZ = 1000.0, 100.0
 LEVELS, HARMONIC_S, CREEP_S, DYNAMICS_S = 20, 2.0, 400.0, 2.0

@@ -32,9 +32,7 @@ def study():
     _, by_hysteresis = _response(plant.hysteresis.simulate(voltage_v), record.displacement_um)
     gain, ignored = fit_response(frequency_hz, by_voltage)
     _, known = fit_response(frequency_hz, by_hysteresis)
-    small, large = (
-        _first_gain(plant.hysteresis, part * HIGHEST_V) for part in (0.2, 1.0)
-    )
+    small, large = (_first_gain(plant.hysteresis, part * HIGHEST_V) for part in (0.2, 1.0))
     true_rad_per_s = plant.dynamics.mode_frequencies_rad_per_s[0]
 
     def shift_percent(dynamics):

@@ -4,10 +4,7 @@
 import numpy as np
 
 from piezo_common.picture_style import BLUE, GREY, VERMILION, label, new_figure
-from piezo_identification.experiments.input_designs import (
-    stair_amplitudes,
-    stair_harmonics,
-)
+from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_regression import accumulate
 from piezo_studies.baselines.sampling_rules import stair_sample_times
@@ -15,12 +12,7 @@ from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.figure_table import Row, Study
 from piezo_studies.thesis.laboratory import record_stage
 from piezo_studies.thesis.pictures import draw_estimate
-from piezo_studies.thesis.slow_hysteresis import (
-    CLOCK_HZ,
-    HIGHEST_V,
-    LEVELS,
-    preparation_v,
-)
+from piezo_studies.thesis.slow_hysteresis import CLOCK_HZ, HIGHEST_V, LEVELS, preparation_v
 
 HARMONIC_PERIOD_S = 100.0 / 60.0
 LEAST_SINGULAR_VALUE = 1.2

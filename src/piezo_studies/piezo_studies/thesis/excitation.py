@@ -3,10 +3,7 @@
 
 import numpy as np
 
-from piezo_identification.experiments.input_designs import (
-    stair_amplitudes,
-    stair_harmonics,
-)
+from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_studies.baselines.relay_regression import excitation_rank
 from piezo_studies.baselines.sampling_rules import stair_sample_times
 from piezo_studies.thesis.figure_table import Row, Study

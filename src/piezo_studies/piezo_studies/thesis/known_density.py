@@ -11,12 +11,7 @@ from piezo_studies.baselines.relay_regression import accumulate, excitation_rank
 from piezo_studies.baselines.sampling_rules import sample_by_voltage
 from piezo_studies.baselines.svd_estimate import density_by_svd, truncated_svd
 from piezo_studies.thesis.figure_table import Row, Study
-from piezo_studies.thesis.known_plant import (
-    HIGHEST_V,
-    NOISE_UM,
-    density_um_per_v2,
-    known_plant,
-)
+from piezo_studies.thesis.known_plant import HIGHEST_V, NOISE_UM, density_um_per_v2, known_plant
 from piezo_studies.thesis.laboratory import record_model
 from piezo_studies.thesis.pictures import draw_plane
 

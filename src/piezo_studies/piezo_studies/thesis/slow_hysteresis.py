@@ -9,13 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from piezo_common.picture_style import (
-    DIFFERENCE,
-    MEASURED,
-    MODELLED,
-    label,
-    new_figure,
-)
+from piezo_common.picture_style import DIFFERENCE, MEASURED, MODELLED, label, new_figure
 from piezo_identification.estimators.hysteresis.smoothed_density import smoothed_density
 from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_models.hysteresis.preisach import PreisachModel

@@ -2,10 +2,7 @@
 import numpy as np
 import pytest
 
-from piezo_identification.experiments.input_designs import (
-    stair_amplitudes,
-    stair_harmonics,
-)
+from piezo_identification.experiments.input_designs import stair_amplitudes, stair_harmonics
 from piezo_studies.baselines.polynomial_drift import remove_polynomial_drift
 from piezo_studies.baselines.relay_grid import simulate_relays
 from piezo_studies.baselines.relay_regression import (

@@ -8,12 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.task import Future
 
 from piezo_client.client import GoalFailed
-from piezo_studies.demo.demo_session import (
-    MEETINGS,
-    START_TIMEOUT_S,
-    RunningGoal,
-    Session,
-)
+from piezo_studies.demo.demo_session import MEETINGS, START_TIMEOUT_S, RunningGoal, Session
 
 
 class Client:

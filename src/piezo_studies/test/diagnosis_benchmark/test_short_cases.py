@@ -8,12 +8,7 @@ import pytest
 
 from piezo_studies.diagnosis_benchmark.effect_draws import CAUSES_OUTSIDE
 from piezo_studies.diagnosis_benchmark.model_errors import sentence
-from piezo_studies.diagnosis_benchmark.short_case import (
-    KINDS,
-    LEVELS,
-    draw_short_cases,
-    waveform,
-)
+from piezo_studies.diagnosis_benchmark.short_case import KINDS, LEVELS, draw_short_cases, waveform
 
 
 def test_causes_none_and_those_outside_the_list_are_drawn_in_their_shares():

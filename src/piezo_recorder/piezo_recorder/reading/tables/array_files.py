@@ -12,13 +12,7 @@ import numpy as np
 
 from piezo_recorder.reading.recording import RecordingError
 from piezo_recorder.reading.tables.libraries import library
-from piezo_recorder.reading.tables.table import (
-    Progress,
-    Table,
-    array_columns,
-    equal_length,
-    joined,
-)
+from piezo_recorder.reading.tables.table import Progress, Table, array_columns, equal_length, joined
 
 LARGEST_BYTES = 16_000_000_000
 UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "unit_string")

@@ -5,11 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from piezo_recorder.reading.recording import RecordingError
-from piezo_recorder.reading.tables.array_files import (
-    read_hdf5,
-    read_npy,
-    read_wav,
-)
+from piezo_recorder.reading.tables.array_files import read_hdf5, read_npy, read_wav
 from piezo_recorder.reading.tables.columnar_files import read_arrow, read_parquet, read_tdms
 from piezo_recorder.reading.tables.delimited_text import Needed, read_text_table
 from piezo_recorder.reading.tables.matlab_files import is_version_4, read_matlab
