@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Time the closed loop: simulated seconds per second, and the round trip of a tick."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from piezo_interfaces.srv import StartRecording, StopRecording
-from processes import BenchmarkProcesses
 from rclpy.time import Time
 from stage_model import SAMPLE_RATE_HZ, write_model
 
+from piezo_bringup.processes import Processes
 from piezo_client.client import Client
 
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [40.0],
@@ -15,6 +19,22 @@ REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [40.0],
 LOCKSTEP = {"autostart": True, "timing": "lockstep"}
 WARM_UP_ROUND_TRIPS = 500
 PING_PONG_TIMEOUT_S = 120.0
+
+
+class BenchmarkProcesses(Processes):
+    """Starts the node modules of this directory as well."""
+
+    def start_module(self, name, parameters=None):
+        """Start a module of this directory, such as ``ping_node``, with ROS parameters."""
+        module = Path(__file__).with_name(f"{name}.py")
+        command = [sys.executable, str(module), "--ros-args"]
+        for key, value in (parameters or {}).items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            command += ["-p", f"{key}:={text}"]
+        with open(self.log(name), "a", encoding="utf-8") as log:
+            self._running[name] = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
+                env=self._environment, start_new_session=True)
 
 
 def closed_loop(directory, simulated_s, executables):

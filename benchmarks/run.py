@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import peers
+from command_speed import SUITE_START, answer_times_s, first_recording_s
 from command_speed import TARGETS as ANSWER_TARGETS
-from command_speed import answer_times_s
 from computing_time import computing_times_s
 from diagnosis_speed import CASES, MANY_SAMPLES, SAMPLES, diagnosis_times_s
 from history import HISTORY, PAGE, keep, page_of
@@ -26,9 +26,6 @@ from rows_speed import TARGETS as ROWS_TARGETS
 from rows_speed import measure as measure_rows
 from stream_length import TARGETS as STREAM_TARGETS
 from stream_length import measure as measure_streams
-from suite_start import TARGETS as START_TARGETS
-from suite_start import TITLE as SUITE_START
-from suite_start import first_recording_s
 from table import Measurements, show, write
 
 OUTPUT = Path(__file__).parents[1] / "runs" / "bench"
@@ -183,8 +180,7 @@ def main():
     measure_rows(measured)
     print("identification beside its peers ...", flush=True)
     peers.measure(measured)
-    rows = measured.table(
-        TARGETS | ANSWER_TARGETS | START_TARGETS | STREAM_TARGETS | ROWS_TARGETS)
+    rows = measured.table(TARGETS | ANSWER_TARGETS | STREAM_TARGETS | ROWS_TARGETS)
     show(rows)
     write(rows, OUTPUT / "table.json")
     keep(rows)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-OWN_MODULES = "loop_speed", "processes", "stage_model"
+OWN_MODULES = "loop_speed", "stage_model"
 
 
 @pytest.fixture
