@@ -5,20 +5,16 @@ Each is a function of a voltage (N,) that begins at 0 V on a stage that was neve
 the input of the linear part (um), shape (N,). All are independent of time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numba import njit
 
 from piezo_common.arrays import FloatArray
 
-
-class Hysteresis(Protocol):
-    """A function from the history of the voltage to a displacement."""
-
-    def __call__(self, voltage_v: FloatArray) -> FloatArray:
-        """Return the input of the linear part (um), shape (N,)."""
+Hysteresis = Callable[[FloatArray], FloatArray]
+"""A function from the history of the voltage to a displacement."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Linear systems as sums over poles: lags, modes, creep by a continuum of rates, flexures."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import reduce
 from math import gamma
 from typing import Any, Self
 
@@ -73,11 +72,6 @@ def mode(frequency_hz: float, damping: float, share: float = 1.0) -> LinearSyste
     damped = w * np.sqrt(1.0 - damping**2)
     return LinearSystem(np.array([-damping * w + 1j * damped]),
                         np.array([share * w**2 / (2j * damped)]))
-
-
-def in_parallel(systems: Iterable[LinearSystem]) -> LinearSystem:
-    """Return systems in parallel."""
-    return reduce(LinearSystem.parallel_to, systems)
 
 
 def coupled_flexures(mass: FloatArray, damping: FloatArray, stiffness: FloatArray,

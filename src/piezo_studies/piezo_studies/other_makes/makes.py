@@ -14,7 +14,6 @@ from piezo_studies.other_makes.linear_system import (
     Stage,
     coupled_flexures,
     fractional_creep,
-    in_parallel,
     lag,
     logarithmic_creep,
     mode,
@@ -80,8 +79,8 @@ def plays_15um(seed: int = 0) -> Make:
     """Draw a stage with asymmetric plays, logarithmic creep, and two parallel modes."""
     draw = Draw(seed)
     share = draw.about(0.15)
-    modes = in_parallel([mode(draw.about(1200.0), draw.about(0.02), 1.0 - share),
-                         mode(draw.about(1900.0), draw.about(0.015), share)])
+    modes = mode(draw.about(1200.0), draw.about(0.02), 1.0 - share).parallel_to(
+        mode(draw.about(1900.0), draw.about(0.015), share))
     return _asymmetric("plays_15um", draw, modes)
 
 
@@ -89,8 +88,8 @@ def opposite_lag(seed: int = 0) -> Make:
     """Draw a stage like `plays_15um`, with one mode and a small parallel lag of opposite sign."""
     draw = Draw(seed)
     share = draw.about(0.06)
-    modes = in_parallel([mode(draw.about(1192.0), draw.about(0.02), 1.0 + share),
-                         lag(draw.about(3e-4), -share)])
+    modes = mode(draw.about(1192.0), draw.about(0.02), 1.0 + share).parallel_to(
+        lag(draw.about(3e-4), -share))
     return _asymmetric("opposite_lag", draw, modes, has_lag_behind=True)
 
 
@@ -112,8 +111,8 @@ def tube_11um(seed: int = 0) -> Make:
     """Draw a tube scanner with power-law creep, a second-order amplifier, and a chirp."""
     draw = Draw(seed)
     share = draw.about(0.1)
-    modes = in_parallel([mode(draw.about(3400.0), draw.about(0.012), 1.0 - share),
-                         mode(draw.about(6100.0), draw.about(0.02), share)])
+    modes = mode(draw.about(3400.0), draw.about(0.012), 1.0 - share).parallel_to(
+        mode(draw.about(6100.0), draw.about(0.02), share))
     widths_v = np.linspace(0.0, draw.about(70.0), 15)
     weights = np.append(0.7, np.full(14, 0.035))
     curve = (1.0, 0.0, 2e-6)
@@ -141,8 +140,8 @@ def small_2um(seed: int = 0) -> Make:
     """Draw a small and fast stage with a delay of some samples."""
     draw = Draw(seed)
     share = draw.about(0.2)
-    modes = in_parallel([mode(draw.about(32e3), draw.about(0.012), 1.0 - share),
-                         mode(draw.about(51e3), draw.about(0.015), share)])
+    modes = mode(draw.about(32e3), draw.about(0.012), 1.0 - share).parallel_to(
+        mode(draw.about(51e3), draw.about(0.015), share))
     front_lag_s, delay_s = draw.about(3e-6), draw.about(6.8e-6)
     hysteresis = slipping(draw, 2.0 / 140.0, 50.0)
     creep = logarithmic_creep(draw.about(0.012), fastest_s=1e-4)
