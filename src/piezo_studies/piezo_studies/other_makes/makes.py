@@ -75,12 +75,18 @@ def true_modes(system: LinearSystem) -> dict[str, list[float]]:
             "damping_ratios": [float(-pole.real / abs(pole)) for pole in poles]}
 
 
+def two_modes(draw: Draw, share: float, first: tuple[float, float],
+              second: tuple[float, float]) -> LinearSystem:
+    """Draw two parallel modes of given frequency (rad/s) and damping; `share` is the second's."""
+    share = draw.about(share)
+    return mode(draw.about(first[0]), draw.about(first[1]), 1.0 - share).parallel_to(
+        mode(draw.about(second[0]), draw.about(second[1]), share))
+
+
 def plays_15um(seed: int = 0) -> Make:
     """Draw a stage with asymmetric plays, logarithmic creep, and two parallel modes."""
     draw = Draw(seed)
-    share = draw.about(0.15)
-    modes = mode(draw.about(1200.0), draw.about(0.02), 1.0 - share).parallel_to(
-        mode(draw.about(1900.0), draw.about(0.015), share))
+    modes = two_modes(draw, 0.15, (1200.0, 0.02), (1900.0, 0.015))
     return _asymmetric("plays_15um", draw, modes)
 
 
@@ -110,9 +116,7 @@ def _asymmetric(name: str, draw: Draw, modes: LinearSystem, has_lag_behind: bool
 def tube_11um(seed: int = 0) -> Make:
     """Draw a tube scanner with power-law creep, a second-order amplifier, and a chirp."""
     draw = Draw(seed)
-    share = draw.about(0.1)
-    modes = mode(draw.about(3400.0), draw.about(0.012), 1.0 - share).parallel_to(
-        mode(draw.about(6100.0), draw.about(0.02), share))
+    modes = two_modes(draw, 0.1, (3400.0, 0.012), (6100.0, 0.02))
     widths_v = np.linspace(0.0, draw.about(70.0), 15)
     weights = np.append(0.7, np.full(14, 0.035))
     curve = (1.0, 0.0, 2e-6)
@@ -139,9 +143,7 @@ def maxwell_300um(seed: int = 0) -> Make:
 def small_2um(seed: int = 0) -> Make:
     """Draw a small and fast stage with a delay of some samples."""
     draw = Draw(seed)
-    share = draw.about(0.2)
-    modes = mode(draw.about(32e3), draw.about(0.012), 1.0 - share).parallel_to(
-        mode(draw.about(51e3), draw.about(0.015), share))
+    modes = two_modes(draw, 0.2, (32e3, 0.012), (51e3, 0.015))
     front_lag_s, delay_s = draw.about(3e-6), draw.about(6.8e-6)
     hysteresis = slipping(draw, 2.0 / 140.0, 50.0)
     creep = logarithmic_creep(draw.about(0.012), fastest_s=1e-4)
