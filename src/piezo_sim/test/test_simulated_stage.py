@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The simulated stage behind the backend protocol."""
 
+from importlib import resources
+
 import numpy as np
 import pytest
 
@@ -64,8 +66,9 @@ def test_a_voltage_acts_only_after_its_own_sample(plant):
     assert np.diff(moved.true_displacement_um[50:70]).min() > 0.0
 
 
-def test_the_stage_opens_at_rest_near_zero():
-    stage = opened()
+@pytest.mark.parametrize("plant", [None, resources.files("piezo_sim") / "undeclared.yaml"])
+def test_the_stage_opens_at_rest_near_zero(plant):
+    stage = opened(plant=plant)
     stage.exchange(np.zeros(40_000))
     assert np.ptp(stage.true_displacement_um) < 1e-9
     assert abs(stage.true_displacement_um[0]) < 0.01

@@ -22,6 +22,7 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 sys.path.insert(0, str(Path(__file__).parent))
 from test_axes_response import HELD_HZ, NOISE_UM_PER_V, stage
+from test_diagnose_axes import label
 
 FREQUENCY_HZ = np.arange(5.0, 2000.0, 10.0)
 
@@ -84,12 +85,6 @@ CASES = {
     "delay[y]": ({"late_s": (0.0, 3e-5)}, 3e-5)}
 SHOWN_ELSEWHERE = ("squareness[y,x]", "delay[y]", "gain[x]")
 """Of three axes, by the command, and of recordings."""
-
-
-def label(entry):
-    where = [entry["parameters"][key] for key in ("axis", "from_axis")
-             if key in entry["parameters"]]
-    return f"{entry['name']}[{','.join(where)}]"
 
 
 def named(diagnosis):

@@ -37,7 +37,6 @@ from piezo_sim.effects.transport_delay import TransportDelay
 from piezo_sim.plant.linear_effects import ElectricLag, LinearRunner, VibrationMode
 from piezo_sim.plant.plant_effect import PlantConfigError, Surroundings
 from piezo_sim.plant.plant_file import EFFECTS, parse_plant, read_plant
-from piezo_sim.simulated_stage import SimulatedStage
 
 PERIOD_S = 2.5e-5
 SURROUNDINGS = Surroundings(sample_period_s=PERIOD_S, rest_voltage_v=0.0, seed=4)
@@ -454,14 +453,6 @@ def test_gain_falls_with_travel_and_not_with_time():
     moved = played(effect, np.concatenate([np.tile([0.0, 10.0], 5), np.full(9, 10.0)]))
     # 10 um at each of nine moves
     assert moved[-1] == pytest.approx(10.0 * (1 - 0.1 * (1 - math.exp(-90.0 / 50.0))))
-
-
-def test_rest_is_an_equilibrium_of_the_plant_of_the_demonstration():
-    stage = SimulatedStage(resources.files("piezo_sim") / "undeclared.yaml")
-    stage.open()
-    stage.exchange(np.zeros(40_000))
-    assert np.ptp(stage.true_displacement_um) < 1e-9
-    assert abs(stage.true_displacement_um[0]) < 0.01
 
 
 def test_plant_of_the_demonstration_is_the_default_one_with_two_effects_more():
