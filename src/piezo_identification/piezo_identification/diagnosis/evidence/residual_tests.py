@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import prev_fast_len
-from scipy.signal import correlate, csd, welch
+from scipy.signal import correlate, welch
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.waveforms import turning_points
@@ -105,47 +105,15 @@ def _correlation(later: FloatArray, earlier: FloatArray, lags: NDArray[np.intp])
 
 def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (Hz) and power spectral density (um^2/Hz) of a signal, (N,)."""
-    return welch(signal_um, 1.0 / sample_period_s, nperseg=_segment(signal_um.size),
+    return welch(signal_um, 1.0 / sample_period_s, nperseg=segment_of(signal_um.size),
                  detrend="linear")
 
 
-def _segment(samples: int) -> int:
+def segment_of(samples: int) -> int:
     """Return the number of samples of each segment for averaging spectra."""
     # A length with large prime factors takes several times as long.
     longest = prev_fast_len(max(1, samples // SETTINGS.segments), real=True)
     return int(min(samples, max(SETTINGS.shortest_segment, longest)))
-
-
-@dataclass(frozen=True)
-class ErrorResponse:
-    """The error of the model's displacement as a function of frequency."""
-
-    frequency_hz: np.ndarray
-    """Shape (n,)."""
-    gain: np.ndarray
-    """Gain from the model's displacement to the residual, (n,); 0.1 if the stage moves by 10 %
-    more."""
-    coherence: np.ndarray
-    """Shape (n,)."""
-    limit: float
-    """Coherence that 99 % of independent signals do not reach."""
-
-
-def error_response(residual_um: FloatArray, displacement_um: FloatArray,
-                   sample_period_s: float) -> ErrorResponse:
-    """Estimate how a residual depends on the model's displacement, both (N,), at each frequency."""
-    segment = _segment(displacement_um.size)
-    options = {"fs": 1.0 / sample_period_s, "nperseg": segment, "detrend": "linear"}
-    frequency_hz, cross = csd(displacement_um, residual_um, **options)
-    _, of_model = welch(displacement_um, **options)
-    _, of_residual = welch(residual_um, **options)
-    independent = max(2, displacement_um.size // segment)
-    kept = slice(1, -1)
-    power = np.maximum(of_model[kept], np.finfo(float).tiny)
-    coherence = np.abs(cross[kept]) ** 2 / np.maximum(
-        power * of_residual[kept], np.finfo(float).tiny)
-    return ErrorResponse(frequency_hz[kept], cross[kept] / power, coherence,
-                         1.0 - 0.01 ** (1.0 / (independent - 1)))
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Figures of a diagnosis, with the results before and after on the same axes.
+"""Figures of a diagnosis, with the results before and after on the same axes."""
 
-Residuals have the shape (N,); `noise_um` is the standard deviation of the sensor noise.
-"""
-
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,10 +20,11 @@ from piezo_common.picture_style import (
     outline,
     plain_numbers,
 )
+from piezo_identification.analysis.gain_over_frequency import gain_of
 from piezo_identification.diagnosis.evidence.residual_tests import (
     dependences,
-    error_response,
     input_correlation,
+    segment_of,
     spectrum,
     whiteness,
 )
@@ -45,35 +44,65 @@ MOST_PERCENT = 1000.0
 """Upper limit of the plotted errors."""
 
 
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """A simulated recording, and the residuals of the given model and of the extended one."""
+
+    part: SimulatedRecording
+
+    before_um: FloatArray
+    after_um: FloatArray
+    """Residuals at all samples, (N,)."""
+    noise_um: float
+    """Standard deviation of the sensor noise."""
+
+    def settled(self, signal: FloatArray) -> FloatArray:
+        """Return the samples of a signal from which on the model has settled."""
+        return signal[self.part.begin :]
+
+    @property
+    def both_um(self) -> tuple[FloatArray, FloatArray]:
+        """Residuals before and after at these samples."""
+        return self.settled(self.before_um), self.settled(self.after_um)
+
+    @property
+    def voltage_v(self) -> FloatArray:
+        """Voltage at these samples."""
+        return self.settled(self.part.voltage_v)
+
+    @property
+    def simulated_um(self) -> FloatArray:
+        """Displacement of the given model at these samples."""
+        return self.settled(self.part.simulate())
+
+
 def residuals_of(diagnosis: "Diagnosis", index: int = 0) -> Figure:
     """Draw the residuals of one of the recordings of a diagnosis; see `draw_residuals`."""
-    return draw_residuals(*residuals_um(diagnosis, index))
+    return draw_residuals(residuals_um(diagnosis, index))
 
 
-def residuals_um(diagnosis: "Diagnosis", index: int,
-                 ) -> tuple[SimulatedRecording, FloatArray, FloatArray, float]:
-    """Return a recording, its residuals before and after, and the standard deviation of noise."""
+def residuals_um(diagnosis: "Diagnosis", index: int) -> Residuals:
+    """Return the residuals of one of the recordings of a diagnosis."""
     regression = diagnosis.selection.regression
     dataset, noise = regression.dataset, regression.noise
-    return (dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
-            noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
-            noise.noise_um[index])
+    return Residuals(
+        dataset.simulated[index], noise_estimate.residual_um(dataset, index, noise=noise),
+        noise_estimate.residual_of_model_um(dataset, index, diagnosis.model, noise),
+        noise.noise_um[index])
 
 
-def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-                   noise_um: float) -> Figure:
+def draw_residuals(residuals: Residuals) -> Figure:
     """Draw the residuals over time: the whole, and a detail where most was gained."""
-    figure = new_figure(5.5, WIDE_IN)
-    whole = slice(part.begin, None)
+    figure, part = new_figure(5.5, WIDE_IN), residuals.part
     columns = zip(
         figure.subplots(2, 2, height_ratios=(1, 2), width_ratios=(2, 1), sharex="col").T,
-        (whole, _closest_look(part, before_um, after_um)), strict=True,
+        (slice(part.begin, None), _closest_look(residuals)), strict=True,
     )
     for (above, below), shown in columns:
         above.plot(*outline(part.time_s[shown], part.voltage_v[shown]), **MODEL)
-        below.plot(*outline(part.time_s[shown], 1e3 * before_um[shown]), **BEFORE)
-        below.plot(*outline(part.time_s[shown], 1e3 * after_um[shown]), **AFTER)
-        draw_noise(below, noise_um)
+        below.plot(*outline(part.time_s[shown], 1e3 * residuals.before_um[shown]), **BEFORE)
+        below.plot(*outline(part.time_s[shown], 1e3 * residuals.after_um[shown]), **AFTER)
+        draw_noise(below, residuals.noise_um)
         label(above, y="voltage (V)")
         label(below, "time (s)", "residual (nm)")
     below.locator_params(axis="x", nbins=3)
@@ -81,32 +110,27 @@ def draw_residuals(part: SimulatedRecording, before_um: FloatArray, after_um: Fl
     return figure
 
 
-def _closest_look(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> slice:
+def _closest_look(residuals: Residuals) -> slice:
     """Return the slice of samples in which the variance of the residual decreased most."""
-    samples = min(CLOSE_SAMPLES, before_um.size - part.begin)
-    windows = (before_um.size - part.begin) // samples
-    scatters = [
-        residual_um[part.begin : part.begin + windows * samples].reshape(windows, samples).var(1)
-        for residual_um in (before_um, after_um)
-    ]
-    start = part.begin + samples * int(np.argmax(scatters[0] - scatters[1]))
+    samples = min(CLOSE_SAMPLES, residuals.voltage_v.size)
+    windows = residuals.voltage_v.size // samples
+    before, after = (residual_um[: windows * samples].reshape(windows, samples).var(1)
+                     for residual_um in residuals.both_um)
+    start = residuals.part.begin + samples * int(np.argmax(before - after))
     return slice(start, start + samples)
 
 
-def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-                 noise_um: float) -> Figure:
+def draw_spectra(residuals: Residuals) -> Figure:
     """Draw spectra of both residuals, of the model's displacement, and of white noise."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
-    signals = (
-        (part.simulate(), MODEL | {"label": "model"}),
-        (before_um, BEFORE), (after_um, AFTER),
-    )
-    for signal, style in signals:
-        frequency_hz, density = spectrum(signal[part.begin :], part.sample_period_s)
+    period_s = residuals.part.sample_period_s
+    for signal, style in zip((residuals.simulated_um, *residuals.both_um),
+                             (MODEL | {"label": "model"}, BEFORE, AFTER), strict=True):
+        frequency_hz, density = spectrum(signal, period_s)
         frequency_hz, density = smoothed(frequency_hz[1:-1], density[1:-1])
         axes.loglog(frequency_hz, np.sqrt(density) * 1e3, **style)
-    noise = 1e3 * noise_um * np.sqrt(2.0 * part.sample_period_s)
+    noise = 1e3 * residuals.noise_um * np.sqrt(2.0 * period_s)
     axes.axhline(noise, label="noise", **LIMIT)
     axes.set_ylim(bottom=LOWEST_SHOWN * noise)
     label(axes, "frequency (Hz)", "density (nm per root Hz)")
@@ -114,15 +138,14 @@ def draw_spectra(part: SimulatedRecording, before_um: FloatArray, after_um: Floa
     return figure
 
 
-def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray) -> Figure:
+def draw_tests(residuals: Residuals) -> Figure:
     """Draw whiteness and correlation with the input, with the 99 % band."""
     figure = new_figure(5.0, WIDE_IN)
     above, below = figure.subplots(2)
-    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
-        residual_um = residual_um[part.begin :]
+    for residual_um, style in zip(residuals.both_um, (BEFORE, AFTER), strict=True):
         white = whiteness(residual_um)
         above.plot(white.lags, white.correlation, **style)
-        with_input = input_correlation(residual_um, part.voltage_v[part.begin :])
+        with_input = input_correlation(residual_um, residuals.voltage_v)
         below.plot(with_input.lags, with_input.correlation, **style)
     for axes, test in ((above, white), (below, with_input)):
         axes.axhspan(-test.band, test.band, color="0.85")
@@ -132,24 +155,23 @@ def draw_tests(part: SimulatedRecording, before_um: FloatArray, after_um: FloatA
     return figure
 
 
-def draw_over_voltage(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-                      noise_um: float) -> Figure:
+def draw_over_voltage(residuals: Residuals) -> Figure:
     """Draw the residuals over the voltage, where errors of a loop form loops."""
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
-    every = slice(part.begin, None, max(1, part.time_s.size // MOST_POINTS))
+    every = slice(None, None, max(1, residuals.part.time_s.size // MOST_POINTS))
     points: dict[str, Any] = {"linestyle": "none", "marker": "."}
-    for residual_um, style in ((before_um, BEFORE | points | {"markersize": 4}),
-                               (after_um, AFTER | points | {"markersize": 2})):
-        axes.plot(part.voltage_v[every], 1e3 * residual_um[every], **style)
-    draw_noise(axes, noise_um)
+    for residual_um, style, size in zip(
+            residuals.both_um, (BEFORE, AFTER), (4, 2), strict=True):
+        axes.plot(residuals.voltage_v[every], 1e3 * residual_um[every],
+                  **(style | points | {"markersize": size}))
+    draw_noise(axes, residuals.noise_um)
     label(axes, "voltage (V)", "residual (nm)")
     axes.legend(loc="upper left")
     return figure
 
 
-def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_um: FloatArray,
-                        noise_um: float) -> Figure:
+def draw_error_response(residuals: Residuals) -> Figure:
     """Draw the ratio of residual and displacement at frequencies where they are coherent.
 
     Frequencies at which the displacement is below the noise are omitted, because the ratio is large
@@ -157,15 +179,18 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
     """
     figure = new_figure(4.5, WIDE_IN)
     axes = figure.subplots()
-    simulated_um = part.simulate()[part.begin :]
-    _, power = spectrum(simulated_um, part.sample_period_s)
-    stands_out = power[1:-1] > 2.0 * part.sample_period_s * noise_um**2
-    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
-        found = error_response(residual_um[part.begin :], simulated_um, part.sample_period_s)
-        significant = (found.coherence > found.limit) & stands_out
-        percent = np.where(significant, 100.0 * np.abs(found.gain), np.nan)
+    simulated_um, period_s = residuals.simulated_um, residuals.part.sample_period_s
+    segment = segment_of(simulated_um.size)
+    # Independent signals are more coherent at one line in a hundred.
+    limit = 1.0 - 0.01 ** (1.0 / (max(2, simulated_um.size // segment) - 1))
+    density = spectrum(simulated_um, period_s)
+    for residual_um, style in zip(residuals.both_um, (BEFORE, AFTER), strict=True):
+        frequency_hz, gain, coherence = gain_of(
+            simulated_um, residual_um, period_s, segment, least_power=0.0)
+        moves = np.interp(frequency_hz, *density) > 2.0 * period_s * residuals.noise_um**2
+        percent = np.where((coherence > limit) & moves, 100.0 * np.abs(gain), np.nan)
         every = slice(None, None, max(1, percent.size // MOST_POINTS))
-        axes.loglog(found.frequency_hz[every], np.minimum(percent, MOST_PERCENT)[every], **style)
+        axes.loglog(frequency_hz[every], np.minimum(percent, MOST_PERCENT)[every], **style)
     label(axes, "frequency (Hz)", "part of the displacement (%)")
     for axis in axes.xaxis, axes.yaxis:
         plain_numbers(axis)
@@ -173,15 +198,12 @@ def draw_error_response(part: SimulatedRecording, before_um: FloatArray, after_u
     return figure
 
 
-def draw_dependences(part: SimulatedRecording, before_um: FloatArray,
-                     after_um: FloatArray) -> Figure:
+def draw_dependences(residuals: Residuals) -> Figure:
     """Draw the mean residual over each quantity that may be related to an effect."""
     figure = new_figure(6.0, WIDE_IN)
-    for residual_um, style in ((before_um, BEFORE), (after_um, AFTER)):
-        found = dependences(
-            residual_um[part.begin :], part.simulate()[part.begin :],
-            part.voltage_v[part.begin :], part.time_s[part.begin :],
-        )
+    for residual_um, style in zip(residuals.both_um, (BEFORE, AFTER), strict=True):
+        found = dependences(residual_um, residuals.simulated_um, residuals.voltage_v,
+                            residuals.settled(residuals.part.time_s))
         axes = figure.axes or figure.subplots(2, 3).ravel()
         for one, dependence in zip(axes, found, strict=True):
             one.plot(dependence.centre, 1e3 * dependence.mean_um, marker=".", **style)

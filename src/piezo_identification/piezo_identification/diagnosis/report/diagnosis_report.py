@@ -84,9 +84,9 @@ def render_report(diagnosis: Diagnosis, origin: Sequence[tuple[str, str]] = ()) 
     sections += _residual(diagnosis)
     sections += [_undecided(diagnosis), *_would_decide(diagnosis)]
     residuals = [pictures.residuals_um(diagnosis, index) for index in range(len(dataset.simulated))]
-    sections += [_recording(diagnosis, *each) for each in residuals]
-    for part, before_um, after_um, _ in residuals:
-        sections += distortion_sections(part, before_um, after_um)
+    sections += [_recording(diagnosis, each) for each in residuals]
+    for each in residuals:
+        sections += distortion_sections(each.part, each.before_um, each.after_um)
     if diagnosis.model is not dataset.model:
         sections.append(_other_parameters(dataset.model, diagnosis.model))
     sections += _tried(diagnosis.selection)
@@ -163,64 +163,55 @@ def _residual(diagnosis: Diagnosis) -> Iterator[Section]:
         yield Section("Residual", texts, rows)
 
 
-def _recording(diagnosis: Diagnosis, part: SimulatedRecording, before_um: FloatArray,
-               after_um: FloatArray, noise_um: float) -> Section:
-    residuals = part, before_um, after_um
-
+def _recording(diagnosis: Diagnosis, residuals: pictures.Residuals) -> Section:
     def picture(name: str, caption: str, figure: Figure) -> Picture:
         return pictured(name, figure, caption, wide=True, closer=True)
 
     return Section(
-        str(part.path), _on_whiteness(diagnosis, part, after_um, noise_um),
-        _tests_table(*residuals), (
+        str(residuals.part.path), _on_whiteness(diagnosis, residuals), _tests_table(residuals), (
             picture("Residuals", "Measured minus simulated displacement over time; right, close "
                     "where the extension gains most. Dotted, twice the sensor's noise.",
-                    pictures.draw_residuals(*residuals, noise_um)),
+                    pictures.draw_residuals(residuals)),
             picture("Residuals over voltage", "Measured minus simulated displacement over the "
                     "voltage; dotted, twice the sensor's noise.",
-                    pictures.draw_over_voltage(*residuals, noise_um)),
+                    pictures.draw_over_voltage(residuals)),
             picture("Spectra", "Spectra of the residuals, of the model's displacement and of the "
-                    "sensor's noise.", pictures.draw_spectra(*residuals, noise_um)),
+                    "sensor's noise.", pictures.draw_spectra(residuals)),
             picture("Error over frequency", "Part of the displacement by which the model is wrong, "
                     "at the frequencies at which the residual follows it and the displacement "
                     "stands out of the noise.",
-                    pictures.draw_error_response(*residuals, noise_um)),
+                    pictures.draw_error_response(residuals)),
             picture("Correlations", "Correlation of the residuals; the band holds 99 % of it where "
-                    "there is none.", pictures.draw_tests(*residuals)),
+                    "there is none.", pictures.draw_tests(residuals)),
             picture("Dependences", "Mean of the residuals where a quantity has some value; the "
                     "bands hold 99 % of the means where nothing depends on it.",
-                    pictures.draw_dependences(*residuals))))
+                    pictures.draw_dependences(residuals))))
 
 
-def _on_whiteness(diagnosis: Diagnosis, part: SimulatedRecording, after_um: FloatArray,
-                  noise_um: float) -> list[str]:
+def _on_whiteness(diagnosis: Diagnosis, residuals: pictures.Residuals) -> list[str]:
     """Explain a residual that is not white in spite of a successful verdict."""
-    test = whiteness(after_um[part.begin :])
+    _, after_um = residuals.both_um
+    test = whiteness(after_um)
     texts = ["Of white noise about 1 % of the lags lie outside the band of 99 %."]
     if diagnosis.verdict == "unexplained" or test.passed:
         return texts
-    rms_um = float(np.std(after_um[part.begin :]))
     extended = "after the extension " if diagnosis.effects else ""
     return [*texts, (
         f"That {100.0 * test.share_outside:.0f} % do {extended}is no contradiction to "
         f"the verdict. The test asks whether the residual is noise alone, not how large it is: of "
-        f"{after_um.size - part.begin} samples it sees a correlation of {test.band:.2g}. The "
-        f"residual is {1e3 * rms_um:.3g} nm at a noise of {1e3 * noise_um:.3g} nm, within "
+        f"{after_um.size} samples it sees a correlation of {test.band:.2g}. The residual is "
+        f"{1e3 * np.std(after_um):.3g} nm at a noise of {1e3 * residuals.noise_um:.3g} nm, within "
         "the error that a model identified on noisy data may have.")]
 
 
-def _tests_table(part: SimulatedRecording, before_um: FloatArray,
-                 after_um: FloatArray) -> list[tuple[str, ...]]:
-    rows: list[tuple[str, ...]] = [("lags outside the band of 99 %", "before", "after")]
-    before_um, after_um = before_um[part.begin :], after_um[part.begin :]
-    voltage_v = part.voltage_v[part.begin :]
-    for name, tests in (
-        ("whiteness", [whiteness(residual) for residual in (before_um, after_um)]),
-        ("correlation with the voltage",
-         [input_correlation(residual, voltage_v) for residual in (before_um, after_um)]),
-    ):
-        rows.append((name, *(f"{100.0 * test.share_outside:.0f} %" for test in tests)))
-    return rows
+def _tests_table(residuals: pictures.Residuals) -> list[tuple[str, ...]]:
+    of_itself = [whiteness(residual_um) for residual_um in residuals.both_um]
+    with_voltage = [input_correlation(residual_um, residuals.voltage_v)
+                    for residual_um in residuals.both_um]
+    return [("lags outside the band of 99 %", "before", "after"), *(
+        (name, *(f"{100.0 * test.share_outside:.0f} %" for test in tests))
+        for name, tests in (("whiteness", of_itself),
+                            ("correlation with the voltage", with_voltage)))]
 
 
 def _tried(selection: Selection) -> Iterator[Section]:

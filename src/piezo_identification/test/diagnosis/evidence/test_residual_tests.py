@@ -30,19 +30,6 @@ def test_the_spectrum_integrates_to_the_power(noise):
     assert np.trapezoid(density, frequency_hz) == pytest.approx(1.0, rel=0.05)
 
 
-def test_the_error_response_is_that_of_the_filter_between_the_signals(noise):
-    displacement_um = lfilter([0.1], [1.0, -0.9], np.random.default_rng(4).normal(size=noise.size))
-    residual_um = 0.05 * np.diff(displacement_um, prepend=0.0) + 1e-3 * noise
-    found = subject.error_response(residual_um, displacement_um, 1e-3)
-    expected = 0.05 * (1.0 - np.exp(-2j * np.pi * found.frequency_hz * 1e-3))
-    clear = found.frequency_hz > 20.0
-    assert np.abs(found.gain / expected - 1.0)[clear].max() < 0.25
-    assert np.median(np.abs(found.gain / expected - 1.0)[clear]) < 0.05
-    assert found.coherence[clear].min() > found.limit
-    apart = subject.error_response(noise, displacement_um, 1e-3)
-    assert np.mean(apart.coherence > apart.limit) < 0.03
-
-
 @pytest.mark.parametrize("quantity", [
     "displacement (um)", "speed (um/s)", "direction", "time (s)",
     "voltage span of the branch (V)", "voltage of the last reversal (V)",

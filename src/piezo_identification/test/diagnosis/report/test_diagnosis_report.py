@@ -102,11 +102,13 @@ def test_what_is_not_white_is_explained_where_it_stands(diagnosis, page):
     part = diagnosis.selection.regression.dataset.simulated[0]
     random = np.random.default_rng(6).normal(size=(2, part.time_s.size))
     white_um, drifting_um = 0.01 * random[0], 0.01 * random[0] + 1e-4 * np.cumsum(random[1])
-    assert len(_on_whiteness(diagnosis, part, white_um, 0.01)) == 1
-    told = _on_whiteness(diagnosis, part, drifting_um, 0.01)[1]
+    white, drifting = (pictures.Residuals(part, white_um, after_um, 0.01)
+                       for after_um in (white_um, drifting_um))
+    assert len(_on_whiteness(diagnosis, white)) == 1
+    told = _on_whiteness(diagnosis, drifting)[1]
     assert "no contradiction to the verdict" in told and "a noise of 10 nm" in told
     unexplained = replace(diagnosis, verdict="unexplained")
-    assert len(_on_whiteness(unexplained, part, drifting_um, 0.01)) == 1
+    assert len(_on_whiteness(unexplained, drifting)) == 1
     assert "about 1 % of the lags" in page
 
 
@@ -133,4 +135,5 @@ def test_the_close_look_is_where_the_scatter_of_the_residual_fell_most(diagnosis
     rings = slice(part.begin + 3 * pictures.CLOSE_SAMPLES, part.begin + 4 * pictures.CLOSE_SAMPLES)
     before_um[rings] = np.sin(np.arange(pictures.CLOSE_SAMPLES))
     before_um[: rings.start] = 5.0
-    assert pictures._closest_look(part, before_um, after_um) == rings
+    assert pictures._closest_look(
+        pictures.Residuals(part, before_um, after_um, 0.01)) == rings
