@@ -8,10 +8,10 @@ import pytest
 from action_msgs.msg import GoalStatus
 
 from piezo_client.client import GoalFailed
-from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.experiments.catalogue import EXPERIMENTS, named_experiment
 from piezo_identification.experiments.probing.probe_file import NAME, load_probe
 from piezo_identification.experiments.relay_feedback import relay_oscillation
+from piezo_identification.recording_check.check import check_recording
 from piezo_recorder.reading.reader import read_recording
 
 
@@ -67,8 +67,7 @@ def test_distortion_experiment_separates_the_noise_of_the_sensor_from_the_hyster
         suite, tmp_path):
     recording = read_recording(suite.run_experiment("distortion", tmp_path).recording)
     designed = named_experiment("distortion")
-    played = recording.select(recording.playing)
-    found = distortion_of(played)
+    found = check_recording(recording).distortion
     assert found.periods == designed.repeats - 1
     # White noise of variance s^2 has the power 4 s^2 / N at each line.
     noise_um = np.sqrt(np.median(found.noise_um**2) / 4.0 * designed.voltage_v.size)

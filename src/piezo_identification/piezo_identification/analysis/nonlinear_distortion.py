@@ -20,7 +20,6 @@ from piezo_identification.conditioning.sensor_noise import SETTINGS as NOISE
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects import Effect
-from piezo_recorder.reading.recording import Recording
 
 EXCITED = 1e-3
 """Smallest amplitude of an excited line, as a fraction of the largest line of the voltage."""
@@ -167,28 +166,13 @@ def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArra
     return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
 
 
-def distortion_of(recording: Recording) -> NonlinearDistortion | None:
-    """Separate noise and distortion of a recording without gaps; see `distortion_of_signal`."""
-    return distortion_of_signal(
-        np.asarray(recording.voltage_v, dtype=float),
-        np.asarray(recording.displacement_um, dtype=float), recording.sample_period_s)
-
-
 def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
                          driving: FloatArray | None = None) -> NonlinearDistortion | None:
     """Separate noise and distortion of any response to a voltage, such as a model's residual.
 
-    Parameters
-    ----------
-    voltage_v, signal_um : ndarray, shape (N,)
-        Voltage and response; the motion settles in the first period.
-    driving : ndarray, shape (N,), optional
-        Input of a linear cause; the voltage by default.
-
-    Returns
-    -------
-    NonlinearDistortion or None
-        None if the voltage is not a repeated multisine that omits odd and even lines.
+    Voltage, response and `driving`, the input of a linear cause, have the shape (N,); the motion
+    settles in the first period. It is None if the voltage is not a repeated multisine that omits
+    odd and even lines.
     """
     period = repeated_period(voltage_v)
     if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:

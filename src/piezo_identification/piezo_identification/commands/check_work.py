@@ -11,7 +11,6 @@ from piezo_common.budget import Budget
 from piezo_common.command_line import budget_of, print_next, write_report
 from piezo_common.picture_style import to_png
 from piezo_identification.analysis.distortion_over_frequency import distortion_png, distortion_rows
-from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.axes.axes_response import is_axes_response
 from piezo_identification.commands.axes_work import check_axes_file
 from piezo_identification.estimators.frequency_response.response_file import (
@@ -87,8 +86,7 @@ def _check_one(recording: Recording, picture: Path, budget: Budget,
     figure = check_figure(check)
     picture.write_bytes(to_png(figure, DOTS_PER_INCH))
     print(f"drawn {picture}")
-    found = None if check.gaps or check.has_few_rows else distortion_of(check.recording)
-    if found is not None:
+    if (found := check.distortion) is not None:
         drawn = picture.with_name(picture.name.removesuffix("_check.png") + "_distortion.png")
         print("\n".join("".join(f"{cell:>24}" for cell in row) for row in distortion_rows(found)))
         drawn.write_bytes(distortion_png(found))

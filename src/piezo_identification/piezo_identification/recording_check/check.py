@@ -7,6 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.analysis.nonlinear_distortion import (
+    NonlinearDistortion,
+    distortion_of_signal,
+)
 from piezo_identification.conditioning.outlier_samples import good_samples, with_outliers_marked
 from piezo_identification.conditioning.sensor_noise import noise_estimates_um
 from piezo_identification.conditioning.waveforms import square_part
@@ -164,6 +168,14 @@ class RecordingCheck:
     def outliers(self) -> int:
         """Number of outliers in the displacement."""
         return int(np.count_nonzero(~good_samples(self.recording)))
+
+    @cached_property
+    def distortion(self) -> NonlinearDistortion | None:
+        """Distortion at the lines of an odd multisine; None for other voltages, or with gaps."""
+        if self.gaps or self.has_few_rows:
+            return None
+        return distortion_of_signal(
+            self.voltage_v, self.displacement_um, self.recording.sample_period_s)
 
     @cached_property
     def warnings(self) -> list[str]:

@@ -3,7 +3,6 @@
 
 import numpy as np
 
-from piezo_identification.analysis.nonlinear_distortion import distortion_of
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import Suitability
 from piezo_recorder.reading.recording_view import error_um
@@ -78,7 +77,7 @@ def _tracking(check: RecordingCheck) -> list[tuple[str, str]]:
 
 def _distortion(check: RecordingCheck) -> list[tuple[str, str]]:
     """Return a row for the distortion of an odd multisine; empty for other voltages."""
-    found = None if check.gaps else distortion_of(check.recording)
+    found = check.distortion
     if found is None:
         return []
     text = f"noise of a period {found.percent(found.noise_of_period_um):.3g} %"
