@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A plant of its own: the thesis' parameters and a density that is no sum f(alpha) + g(beta)."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter
@@ -13,6 +16,8 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
+
+sys.path.insert(0, str(Path(__file__).parent))  # for made_by_scipy and independent_stage
 
 NOISE_UM = 0.009
 RAMP_S, RAMP_ROWS = 0.02, 10

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import numpy as np
 import pytest
+from made_by_scipy import logged
 
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S = 25e-6
 
@@ -20,10 +19,7 @@ def test_a_lag_in_front_of_the_hysteresis_is_part_of_the_residual_of_a_square_wa
     dynamics = ElectricVibrationDynamics(2e-4, (4000.0,), (0.1,))
     model = StageModel(hysteresis, CreepDynamics(), dynamics, effects=(AmplifierLag(1e-4),))
     voltage_v = np.tile(np.repeat([80.0, 20.0], 400), 22)
-    recording = Recording(
-        __file__, 1.0 / PERIOD_S, np.arange(voltage_v.size), np.full(voltage_v.size, PERIOD_S),
-        voltage_v, model.simulate(voltage_v, PERIOD_S),
-        np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+    recording = logged(voltage_v, model.simulate(voltage_v, PERIOD_S), PERIOD_S)
     tried = model if knows else StageModel(hysteresis, CreepDynamics(), dynamics)
     left_um = component_residual("dynamics", tried, recording).residual_um
     assert least_um <= np.sqrt(np.mean(left_um**2)) < most_um

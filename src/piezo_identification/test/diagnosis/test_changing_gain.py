@@ -3,34 +3,24 @@
 
 import numpy as np
 import pytest
+from made_by_scipy import line_model, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_models.cascade import StageModel
 from piezo_models.effects.gain_drift import GainDrift
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM = 1e-2, 4000, 5e-3
-LINE = StageModel(
-    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -60.0, np.array([0.6])), CreepDynamics(),
-    ElectricVibrationDynamics())
+LINE = line_model(gain_um_per_v=0.6)
 
 
 def recording(gain, offset_um=0.0):
     """Record a line whose gain is a function of time and of the way travelled before."""
     generator = np.random.default_rng(3)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(60), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    voltage_v = smooth_noise_v(generator, SAMPLES, 60)
     travelled_v = np.cumsum(np.abs(np.diff(voltage_v, prepend=voltage_v[0])))
     time_s = PERIOD_S * np.arange(SAMPLES)
     displacement_um = 0.6 * voltage_v * gain(time_s, travelled_v / travelled_v[-1]) + offset_um
-    return Recording(
-        path="made", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um, PERIOD_S)
 
 
 @pytest.mark.parametrize(("gain", "lost"), [

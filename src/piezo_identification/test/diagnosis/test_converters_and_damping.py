@@ -3,16 +3,11 @@
 
 import numpy as np
 import pytest
+from made_by_scipy import behind_mode, line_model, logged
 from scipy.integrate import solve_ivp
-from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_models.cascade import StageModel
 from piezo_models.effects.amplitude_damping import AmplitudeDamping
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 pytestmark = pytest.mark.usefixtures("without_ceiling")
 
@@ -22,15 +17,7 @@ W, DAMPING = 400.0, 0.05
 
 @pytest.fixture(scope="module")
 def model():
-    return StageModel(
-        PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
-        ElectricVibrationDynamics(0.0, (W,), (DAMPING,)))
-
-
-def recorded(voltage_v, displacement_um):
-    return Recording(
-        "logged", 1.0 / PERIOD_S, np.arange(voltage_v.size), np.full(voltage_v.size, PERIOD_S),
-        voltage_v, displacement_um, np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+    return line_model(W, DAMPING)
 
 
 def slow(samples=6000):
@@ -45,8 +32,7 @@ def fast(samples=4000):
 
 
 def linear(voltage_v):
-    (b,), a, _ = cont2discrete(([W * W], [1.0, 2.0 * DAMPING * W, W * W]), PERIOD_S)
-    return lfilter(b, a, 0.1 * (voltage_v - voltage_v[0])) + 0.1 * voltage_v[0]
+    return behind_mode(0.1 * (voltage_v - voltage_v[0]), W, DAMPING) + 0.1 * voltage_v[0]
 
 
 def noise(size, deviation_um):
@@ -69,7 +55,7 @@ def damped(voltage_v, quadratic):
 def test_steps_of_the_applied_voltage_are_found_with_their_size(model):
     voltage_v, step_v = slow(), 0.0571
     applied_v = step_v * np.round((voltage_v - 0.02) / step_v) + 0.02
-    diagnosis = diagnose(model, [recorded(
+    diagnosis = diagnose(model, [logged(
         voltage_v, linear(applied_v) + noise(voltage_v.size, 1e-4))])
     assert [entry["name"] for entry in diagnosis.effects] == ["voltage_steps"]
     found = diagnosis.effects[0]["parameters"]
@@ -81,7 +67,7 @@ def test_steps_of_the_applied_voltage_are_found_with_their_size(model):
 def test_steps_of_the_sensor_are_found_with_their_size(model):
     voltage_v, step_um = slow(9000), 0.0031
     displacement_um = linear(voltage_v) + noise(voltage_v.size, 1e-4) + 3.0
-    diagnosis = diagnose(model, [recorded(
+    diagnosis = diagnose(model, [logged(
         voltage_v, step_um * np.round(displacement_um / step_um))])
     assert [entry["name"] for entry in diagnosis.effects] == ["sensor_steps"]
     assert diagnosis.effects[0]["parameters"]["step_um"] == pytest.approx(step_um, rel=1e-4)
@@ -93,7 +79,7 @@ def test_steps_of_the_sensor_are_found_with_their_size(model):
 def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
     voltage_v, step_um = slow(), 1e-3
     displacement_um = linear(voltage_v) + noise(voltage_v.size, deviation_um)
-    diagnosis = diagnose(model, [recorded(
+    diagnosis = diagnose(model, [logged(
         voltage_v, step_um * np.round(displacement_um / step_um))])
     assert (diagnosis.verdict, diagnosis.effects) == ("none", [])
 
@@ -102,7 +88,7 @@ def test_steps_finer_than_the_noise_have_no_name(model, deviation_um):
 def test_damping_that_grows_with_the_amplitude_is_found(model):
     voltage_v, quadratic = fast(), 0.1
     displacement_um = damped(voltage_v, quadratic)
-    diagnosis = diagnose(model, [recorded(
+    diagnosis = diagnose(model, [logged(
         voltage_v, displacement_um + noise(voltage_v.size, 2e-3))])
     assert diagnosis.effects[0]["name"] == "amplitude_damping"
     found = diagnosis.effects[0]["parameters"]

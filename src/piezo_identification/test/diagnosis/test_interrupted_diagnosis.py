@@ -5,6 +5,7 @@ from itertools import count
 
 import numpy as np
 import pytest
+from made_by_scipy import logged
 
 from piezo_common import side_by_side
 from piezo_common.budget import Budget
@@ -13,15 +14,13 @@ from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S = 1e-3
 
 
 @pytest.fixture(scope="module")
 def line():
-    return StageModel(PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0])),
+    return StageModel(PreisachModel.line(0.0, 10.0, 2.0),
                       CreepDynamics(), ElectricVibrationDynamics())
 
 
@@ -35,9 +34,7 @@ def recording():
     displacement_um = displacement_um + 0.03 * ((displacement_um - 10.0) / 10.0) ** 3 * 10.0
     displacement_um += 1.5 * np.sin(2.0 * np.pi * 37.3 * PERIOD_S * np.arange(size))
     displacement_um += draw.normal(scale=2e-3, size=size)
-    return Recording(
-        "a hum", 1.0 / PERIOD_S, np.arange(size), np.full(size, PERIOD_S), voltage_v,
-        displacement_um, np.full(size, Flag.PLAYING, dtype=np.uint32))
+    return logged(voltage_v, displacement_um, PERIOD_S)
 
 
 def interrupted_at(beginning):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_by_scipy import logged, smooth_noise_v
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.diagnose import diagnose
@@ -14,8 +15,6 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM, STEPS = 1e-3, 4000, 5e-3, 10
 MODE_RAD_PER_S, DAMPING_RATIO = 700.0, 0.1
@@ -48,18 +47,13 @@ def recording(ahead=lambda voltage_v: voltage_v, behind=lambda displacement_um: 
               seed=1, bandwidth_rows=60):
     """Record rows of which each holds its voltage, simulated in parts of them."""
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(
-        generator.normal(size=SAMPLES), np.hanning(bandwidth_rows), mode="same")
-    voltage_v *= 0.9 * HIGHEST_V / np.abs(voltage_v).max()
+    voltage_v = smooth_noise_v(generator, SAMPLES, bandwidth_rows, 0.9 * HIGHEST_V)
     voltage_v[:50] = np.linspace(-HIGHEST_V, voltage_v[50], 50)
     driving_um = plays_um(ahead(np.repeat(voltage_v, STEPS)))
     w, z = MODE_RAD_PER_S, DAMPING_RATIO
     displacement_um = behind(through([w * w], [1.0, 2.0 * z * w, w * w], driving_um))[::STEPS]
-    return Recording(
-        path=f"seed {seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um, name=f"seed {seed}")
 
 
 def of_late_voltage(share):

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, behind_play, line_model, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.fitting.dataset import simulate_recordings
@@ -11,46 +11,29 @@ from piezo_identification.fitting.effect_fit import fit_one_more
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import first_regression
 from piezo_identification.prediction import predict
-from piezo_models.cascade import StageModel
 from piezo_models.effects.hysteresis import Hysteresis
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 4000, 5e-3
+SAMPLES, NOISE_UM = 4000, 5e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 700.0, 0.1
 HALF_WIDTHS_V, GAINS_UM_PER_V = (2.0, 5.5, 9.0, 17.0, 25.0), (0.03, 0.02, 0.03, 0.01, 0.02)
-LINE = StageModel(
-    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -60.0, np.array([0.6])), CreepDynamics(),
-    ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (DAMPING_RATIO,)))
+LINE = line_model(MODE_RAD_PER_S, DAMPING_RATIO, gain_um_per_v=0.6)
 
 
 def plays_um(voltage_v, way_up=0.0):
     """Return a gain and plays, whose outputs are bent where the way up is to be another one."""
     total_um = 0.5 * voltage_v
     for half_width, gain in zip(HALF_WIDTHS_V, GAINS_UM_PER_V, strict=True):
-        played = np.empty(voltage_v.size)
-        last = 0.0
-        for n, voltage in enumerate(voltage_v):
-            last = played[n] = min(max(last, voltage - half_width), voltage + half_width)
+        played = behind_play(voltage_v, 2.0 * half_width)
         total_um += gain * played * (1.0 + way_up * played / 50.0)
     return total_um
 
 
 def recording(seed, hysteresis=plays_um):
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(120), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
-    w, z = MODE_RAD_PER_S, DAMPING_RATIO
-    numerator, denominator, _ = cont2discrete(
-        ([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    displacement_um = lfilter(numerator[0], denominator, hysteresis(voltage_v))
-    return Recording(
-        path=f"seed {seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    voltage_v = smooth_noise_v(generator, SAMPLES, 120)
+    displacement_um = behind_mode(hysteresis(voltage_v), MODE_RAD_PER_S, DAMPING_RATIO)
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um, name=f"seed {seed}")
 
 
 def error_um(model, unseen):

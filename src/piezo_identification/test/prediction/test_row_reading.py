@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_by_scipy import logged
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.prediction.row_reading import (
@@ -16,8 +17,6 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S = 1e-3
 FINE = 10
@@ -34,14 +33,11 @@ def recorded(read_at_samples):
     displacement_um = 2.0 * lfilter(b, a, voltage_v)
     instants = np.arange(0, voltage_v.size - 2 * FINE, FINE)
     read = displacement_um[instants + round(read_at_samples * FINE)]
-    size = instants.size
-    return Recording(
-        "logger", 1.0 / PERIOD_S, np.arange(size), np.full(size, PERIOD_S), voltage_v[instants],
-        read, np.full(size, Flag.PLAYING, dtype=np.uint32))
+    return logged(voltage_v[instants], read, PERIOD_S, "logger")
 
 
 def identified(read_at_samples):
-    line = PreisachModel(0.0, 10.0, np.zeros((1, 1)), 0.0, np.array([2.0]))
+    line = PreisachModel.line(0.0, 10.0, 2.0)
     model = StageModel(line, CreepDynamics(), ElectricVibrationDynamics(LAG_S))
     rows = {"dynamics": {"read_at_samples": read_at_samples, "delay_s": 0.0,
                          "standard_deviation_s": 0.0}}

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_by_scipy import behind_play, logged
 
 from piezo_identification.diagnosis.evidence.effect_covariance import (
     noise_and_errors,
@@ -17,8 +18,6 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM, WIDTH_UM = 1e-3, 3000, 2e-3, 0.3
 CELLS, SPREAD = 48, 0.05
@@ -52,15 +51,9 @@ def recording(stage, seed, width_um=WIDTH_UM):
         size * np.sin(2.0 * np.pi * frequency_hz * time_s + generator.uniform(0.0, 6.0))
         for size, frequency_hz in zip(generator.uniform(4.0, 12.0, 4), (1.0, 2.3, 4.7, 9.1),
                                       strict=True)) + 50.0
-    quiet = Recording(
-        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=np.zeros(SAMPLES), flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    quiet = logged(voltage_v, np.zeros(SAMPLES), PERIOD_S, f"{seed}")
     drive_um = simulate_recordings(stage, [quiet], ()).simulated[0].simulate()
-    trailing_um, last = np.empty(SAMPLES), drive_um[0]
-    for n, position in enumerate(drive_um):
-        last = min(max(last, position - 0.5 * width_um), position + 0.5 * width_um)
-        trailing_um[n] = last
+    trailing_um = drive_um[0] + behind_play(drive_um - drive_um[0], width_um)
     return replace(quiet, displacement_um=trailing_um + NOISE_UM * generator.normal(size=SAMPLES))
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, line_model, logged
 
 from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.diagnosis.diagnose import condition, diagnose
@@ -16,8 +16,6 @@ from piezo_identification.diagnosis.report.diagnosis_report import render_report
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S = 1e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.05
@@ -26,9 +24,7 @@ NOISE_UM = 2e-3
 
 @pytest.fixture(scope="module")
 def model():
-    return StageModel(
-        PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
-        ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (DAMPING_RATIO,)))
+    return line_model(MODE_RAD_PER_S, DAMPING_RATIO)
 
 
 def voltages(kind, samples=9000):
@@ -45,19 +41,17 @@ def voltages(kind, samples=9000):
 def answered(voltage_v, period_s=PERIOD_S, delay_s=0.0):
     """A mass on a spring, sampled at the instants of the rows; the voltage is held, (N,)."""
     fine = 20
-    w, step_s = MODE_RAD_PER_S, period_s / fine
-    (b,), a, _ = cont2discrete(([w * w], [1.0, 2.0 * DAMPING_RATIO * w, w * w]), step_s)
+    step_s = period_s / fine
     held_v = np.repeat(voltage_v, fine)
     late = round(delay_s / step_s)
     held_v = np.concatenate([np.full(late, held_v[0]), held_v[: held_v.size - late]])
-    return lfilter(b, a, 0.1 * (held_v - held_v[0]))[::fine] + 0.1 * held_v[0]
+    moved_um = behind_mode(0.1 * (held_v - held_v[0]), MODE_RAD_PER_S, DAMPING_RATIO, step_s)
+    return moved_um[::fine] + 0.1 * held_v[0]
 
 
 def recorded(voltage_v, displacement_um, period_s=PERIOD_S):
     noise = np.random.default_rng(7).normal(scale=NOISE_UM, size=voltage_v.size)
-    return Recording(
-        "logged", 1.0 / period_s, np.arange(voltage_v.size), np.full(voltage_v.size, period_s),
-        voltage_v, displacement_um + noise, np.full(voltage_v.size, Flag.PLAYING, dtype=np.uint32))
+    return logged(voltage_v, displacement_um + noise, period_s)
 
 
 def shifted(displacement_um, rows):

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, line_model, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.comparison.selection import Selection
 from piezo_identification.diagnosis.diagnose import diagnose
@@ -20,46 +20,25 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.fitting.free_parameters import changed_model, free_sensitivities
 from piezo_identification.simulation.past_search import simulated_recording
-from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 1500, 2e-3
+SAMPLES, NOISE_UM = 1500, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
 OTHER_MODE = (250.0, 0.02, 0.02)
-
-
-def stage(mode_rad_per_s=MODE_RAD_PER_S, damping_ratio=DAMPING_RATIO, reversible=0.06):
-    """Return a stage with a mode, and with a hysteresis of one density."""
-    density = np.tril(np.full((4, 4), 0.5e-4))
-    return StageModel(
-        PreisachModel(-100.0, 100.0, density, -10.0, np.full(4, reversible)),
-        CreepDynamics((0.5,), (0.52,)),
-        ElectricVibrationDynamics(0.0, (mode_rad_per_s,), (damping_ratio,)))
-
-
-def behind_mode(drive_um, w, z):
-    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    return lfilter(numerator[0], denominator, drive_um)
 
 
 def recording(name, seed, measure=lambda displacement_um: displacement_um, other_mode=False):
     """Record a line with a mode or two beside each other, and what the sensor makes of it."""
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
+    voltage_v = smooth_noise_v(generator, SAMPLES, 20)
     modes = [OTHER_MODE] if other_mode else []
     modes.append((MODE_RAD_PER_S, DAMPING_RATIO, 1.0 - sum(part for *_, part in modes)))
     displacement_um = sum(part * behind_mode(0.1 * voltage_v, w, z) for w, z, part in modes)
-    return Recording(
-        path=name, sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=measure(displacement_um) + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, measure(displacement_um) + noise_um, name=name)
 
 
 def curved(displacement_um):
@@ -67,9 +46,7 @@ def curved(displacement_um):
     return displacement_um + 0.03 * displacement_um**2 / 10.0
 
 
-LINE = replace(
-    stage(), creep=CreepDynamics(),
-    hysteresis=PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])))
+LINE = line_model(MODE_RAD_PER_S, DAMPING_RATIO)
 
 
 def found(model, new, *old):
@@ -118,7 +95,9 @@ def test_a_model_with_other_parameters_lacks_no_effect():
 
 
 def test_free_sensitivities_are_the_derivatives_by_the_free_parameters():
-    model, made = stage(), recording("1", 1)
+    loops = PreisachModel(-100.0, 100.0, np.tril(np.full((4, 4), 0.5e-4)), -10.0, np.full(4, 0.06))
+    model = replace(LINE, hysteresis=loops, creep=CreepDynamics((0.5,), (0.52,)))
+    made = recording("1", 1)
     part = simulated_recording(model, made, ())
     rows = np.arange(part.begin, SAMPLES)
     columns = free_sensitivities(part, rows)

@@ -3,40 +3,24 @@
 
 import numpy as np
 import pytest
+from made_by_scipy import behind_mode, line_model, logged
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.diagnosis.diagnose import diagnose
-from piezo_models.cascade import StageModel
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM, LAG_S = 1e-3, 3000, 2e-3, 2e-4
 MODE = (400.0, 0.1)
-MODEL = StageModel(
-    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
-    ElectricVibrationDynamics(0.0, MODE[:1], MODE[1:]))
-
-
-def through(numerator, denominator, signal):
-    discrete = cont2discrete((numerator, denominator), PERIOD_S, "bilinear")
-    return lfilter(discrete[0][0], discrete[1], signal)
+MODEL = line_model(*MODE)
 
 
 def scan():
     """Record two slow tones with a lag of the sensor: it differs from a delay by 1 nm there."""
     generator, time_s = np.random.default_rng(1), PERIOD_S * np.arange(SAMPLES)
     voltage_v = 25.0 * (np.sin(2.0 * np.pi * 7.0 * time_s) + np.sin(2.0 * np.pi * 18.0 * time_s))
-    w, z = MODE
-    zoh = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    displacement_um = through(
-        [1.0], [LAG_S, 1.0], lfilter(zoh[0][0], zoh[1], 0.1 * voltage_v))
-    return Recording(
-        path="scan", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    (numerator,), denominator, _ = cont2discrete(([1.0], [LAG_S, 1.0]), PERIOD_S, "bilinear")
+    displacement_um = lfilter(numerator, denominator, behind_mode(0.1 * voltage_v, *MODE))
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um)
 
 
 def test_a_lag_and_a_delay_of_one_phase_are_as_probable():

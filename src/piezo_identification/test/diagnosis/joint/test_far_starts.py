@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, behind_play, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.joint.alternatives import from_afar
 from piezo_identification.fitting.joint_fit import JointProblem
@@ -11,10 +11,8 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 3000, 2e-3
+SAMPLES, NOISE_UM = 3000, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO, GAIN = 400.0, 0.1, 0.1
 CELLS = 50
 
@@ -22,19 +20,11 @@ CELLS = 50
 def recording(seed, width_um):
     """Record a line with a mode and a play behind it, which is written as a loop."""
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(60), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
-    w, z = MODE_RAD_PER_S, DAMPING_RATIO
-    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    trailing_um, last = np.empty(SAMPLES), 0.0
-    for n, position in enumerate(lfilter(numerator[0], denominator, GAIN * voltage_v)):
-        last = min(max(last, position - 0.5 * width_um), position + 0.5 * width_um)
-        trailing_um[n] = last
-    return Recording(
-        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=trailing_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    voltage_v = smooth_noise_v(generator, SAMPLES, 60)
+    driving_um = behind_mode(GAIN * voltage_v, MODE_RAD_PER_S, DAMPING_RATIO)
+    trailing_um = behind_play(driving_um, width_um)
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, trailing_um + noise_um, name=f"{seed}")
 
 
 def bent(width_um):

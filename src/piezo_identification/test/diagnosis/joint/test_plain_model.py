@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from made_by_scipy import logged
 from scipy.integrate import solve_ivp
 
 from piezo_identification.diagnosis.diagnose import diagnose
@@ -15,7 +16,6 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
 PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 2000, 1e-3, 0.5
@@ -46,11 +46,7 @@ def recording(seed, amplitude_v=20.0, cubic_per_um2=CUBIC_PER_UM2):
     time_s = PERIOD_S * np.arange(SAMPLES)
     found = solve_ivp(moved, (0.0, time_s[-1]), (0.0, 0.0), "DOP853", time_s, rtol=1e-7, atol=1e-7)
     noise_um = NOISE_UM * generator.normal(size=SAMPLES)
-    return Recording(
-        path=f"seed {seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v(time_s),
-        displacement_um=found.y[0] + noise_um,
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    return logged(voltage_v(time_s), found.y[0] + noise_um, PERIOD_S, f"seed {seed}")
 
 
 def model_with_loops():

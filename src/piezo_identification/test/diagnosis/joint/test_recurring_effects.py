@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, line_model, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.joint.identification_recordings import (
@@ -13,37 +13,25 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.fitting.joint_errors import JointErrors
 from piezo_identification.fitting.joint_fit import JointProblem
-from piezo_models.cascade import StageModel
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.thermal_drift import ThermalDrift
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
+from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
 PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 1500, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
 HUM_HZ, HUM_UM = 50.03, 0.05
 
-LINE = StageModel(
-    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
-    ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (DAMPING_RATIO,)))
+LINE = line_model(MODE_RAD_PER_S, DAMPING_RATIO)
 
 
 def recording(seed, outside=lambda time_s, generator: 0.0):
     """Record a line with a mode, and what comes from outside at times of its own."""
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
-    w, z = MODE_RAD_PER_S, DAMPING_RATIO
-    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    displacement_um = lfilter(numerator[0], denominator, 0.1 * voltage_v)
+    voltage_v = smooth_noise_v(generator, SAMPLES, 20)
+    displacement_um = behind_mode(0.1 * voltage_v, MODE_RAD_PER_S, DAMPING_RATIO)
     displacement_um += outside(PERIOD_S * np.arange(SAMPLES), np.random.default_rng(100 + seed))
-    return Recording(
-        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um, name=f"{seed}")
 
 
 def hum(time_s, generator):

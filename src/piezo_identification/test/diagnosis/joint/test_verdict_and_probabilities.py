@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete, lfilter
+from made_by_scipy import behind_mode, line_model, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.joint.identification_recordings import (
@@ -15,23 +15,16 @@ from piezo_identification.fitting.free_parameters import changed_model
 from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS, JointFit, JointProblem
 from piezo_identification.simulation import past_search
-from piezo_models.cascade import StageModel
-from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 pytestmark = pytest.mark.usefixtures("without_ceiling")
 
-PERIOD_S, SAMPLES, NOISE_UM = 1e-3, 1800, 2e-3
+SAMPLES, NOISE_UM = 1800, 2e-3
 MODE = (400.0, 0.1)
-MODEL = StageModel(
-    PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -10.0, np.array([0.1])), CreepDynamics(),
-    ElectricVibrationDynamics(0.0, MODE[:1], MODE[1:]))
+MODEL = line_model(*MODE)
 
 
 def with_second_mode(displacement_um, voltage_v):
-    return 0.98 * displacement_um + 0.02 * of_mode(250.0, 0.02, voltage_v)
+    return 0.98 * displacement_um + 0.02 * behind_mode(0.1 * voltage_v, 250.0, 0.02)
 
 
 def with_steps_of_its_own(displacement_um, voltage_v):
@@ -45,21 +38,12 @@ def unchanged(displacement_um, voltage_v):
     return displacement_um
 
 
-def of_mode(w, z, voltage_v):
-    numerator, denominator, _ = cont2discrete(([w * w], [1.0, 2.0 * z * w, w * w]), PERIOD_S, "zoh")
-    return lfilter(numerator[0], denominator, 0.1 * voltage_v)
-
-
 def recording(seed, change):
     generator = np.random.default_rng(seed)
-    voltage_v = np.convolve(generator.normal(size=SAMPLES), np.hanning(20), mode="same")
-    voltage_v *= 50.0 / np.abs(voltage_v).max()
-    displacement_um = change(of_mode(*MODE, voltage_v), voltage_v)
-    return Recording(
-        path=f"{seed}", sample_rate_hz=1.0 / PERIOD_S, sample_index=np.arange(SAMPLES),
-        sample_periods_s=np.full(SAMPLES, PERIOD_S), voltage_v=voltage_v,
-        displacement_um=displacement_um + NOISE_UM * generator.normal(size=SAMPLES),
-        flags=np.full(SAMPLES, Flag.PLAYING, dtype=np.uint32))
+    voltage_v = smooth_noise_v(generator, SAMPLES, 20)
+    displacement_um = change(behind_mode(0.1 * voltage_v, *MODE), voltage_v)
+    noise_um = NOISE_UM * generator.normal(size=SAMPLES)
+    return logged(voltage_v, displacement_um + noise_um, name=f"{seed}")
 
 
 def gone_astray(self, effects, later=(), begun=None, held=()):
