@@ -57,20 +57,11 @@ def adequacy_of(
 ) -> dict[str, ComponentAdequacy]:
     """Compare the residual of each component on its recordings with the noise.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Conditioned data without gaps by the names of `COMPONENTS`; further recordings of a
-        component are numbered: creep, creep 2. Other names are ignored.
-    delays_s : dict of str to float, optional
-        Delays of rows by name of the recording, in addition to those of the model.
-    asked_for : collection of str
-        Components whose number of parts was given by the user.
-
-    Returns
-    -------
-    dict of str to ComponentAdequacy
-        Adequacy by name of the recording; short stretches are omitted.
+    The conditioned data, without gaps, are given by the names of `COMPONENTS`; further recordings
+    of a component are numbered: creep, creep 2. Other names are ignored. `delays_s` are the delays
+    of rows by name of the recording, in addition to those of the model, and `asked_for` the
+    components whose number of parts was given by the user. The result has the names of the
+    recordings; short stretches are omitted.
     """
     delays_s, tested = delays_s or {}, testable(recordings)
     names = [name for component in COMPONENTS for name in tested
@@ -121,13 +112,7 @@ def _component_adequacy(
 
 def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
               recordings: Mapping[str, Any], is_asked_for: bool = False) -> str:
-    """Return advice on an inadequate component.
-
-    Parameters
-    ----------
-    is_asked_for : bool
-        Whether the number of its parts was given by the user.
-    """
+    """Return advice on an inadequate component, whose number of parts the user may have given."""
     steps = []
     if component == "hysteresis":
         slow = location.band_hz[1] < SLOW_HZ

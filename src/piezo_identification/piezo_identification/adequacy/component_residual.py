@@ -106,19 +106,9 @@ def component_residual(
     For a square wave, the hysteresis is an offset and a gain (4.5) and need not be simulated unless
     the model has a lag before it.
 
-    Parameters
-    ----------
-    component : str
-        ``creep``, ``dynamics`` or ``hysteresis``.
-    data : Recording or FrequencyResponse
-        Data from which the component was estimated.
-    delay_s : float
-        Delay of the rows of the recording, in addition to that of the model.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short to settle.
+    The component is ``creep``, ``dynamics`` or ``hysteresis``, and was estimated from the data.
+    `delay_s` is the delay of the rows of the recording, in addition to that of the model. Raise
+    ValueError if the recording has gaps, or is too short to settle.
     """
     if isinstance(data, FrequencyResponse):
         return _of_response(model, data)

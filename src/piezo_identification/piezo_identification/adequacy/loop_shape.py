@@ -114,21 +114,10 @@ def refuse_impossible_loops(
 ) -> list[str]:
     """Refuse a recording of loops that no Preisach model can represent.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording of the hysteresis; it is not tested if it is too fast to be quasi-static.
-
-    Returns
-    -------
-    list of str
-        Sentences on violations that appear on few branches or none as measured.
-
-    Raises
-    ------
-    ValueError
-        If the displacement moves against the voltage, loops are clockwise, or minor loops do not
-        close, both as measured and with creep, dynamics and delay removed, on many branches.
+    It is not tested if it is too fast to be quasi-static. Raise ValueError if the displacement
+    moves against the voltage, loops are clockwise, or minor loops do not close, both as measured
+    and with creep, dynamics and delay removed, on many branches. Return a sentence on each
+    violation that appears on few branches or none as measured.
     """
     part = played(recording)
     used = good_samples(part) & (

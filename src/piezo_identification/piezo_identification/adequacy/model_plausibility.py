@@ -20,17 +20,9 @@ from piezo_recorder.reading.plausibility import USUAL, implausible
 
 
 def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
-    """Return warnings about implausible recordings.
+    """Return sentences on implausible data, given by name of the experiment.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Data by name of the experiment.
-
-    Returns
-    -------
-    list of str
-        Sentences, except those already in the notes of the recordings.
+    Those that are already in the notes of the recordings are left out.
     """
     sentences = []
     for name, data in recordings.items():
@@ -48,12 +40,9 @@ def implausible_data(recordings: Mapping[str, Any]) -> list[str]:
 
 
 def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[str]:
-    """Return warnings about an implausible model of a piezo stage.
+    """Return sentences on what is implausible in a model of a piezo stage.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Data of the identification by name of the experiment.
+    The data of the identification are given by name of the experiment.
     """
     sentences, dynamics = [], model.dynamics
     slow_s = WAVEFORM.slow_branch_s

@@ -16,22 +16,11 @@ EXCITED = 1e-4
 def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
             segment: int | None = None, least_power: float = EXCITED,
             ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Estimate the response from one signal to another at the excited lines.
+    """Estimate the response from one signal, (N,), to another at the excited lines.
 
-    Parameters
-    ----------
-    input, output : ndarray, shape (N,)
-    segment : int, optional
-        Samples of each averaged segment; by default a quarter of all, up to `LINES`.
-    least_power : float
-        Smallest power of an excited line, as a fraction of the largest power of the input.
-
-    Returns
-    -------
-    frequency_hz : ndarray, shape (M,)
-    response : ndarray of complex, shape (M,)
-    coherence : ndarray, shape (M,)
-        Fraction of the output power that is coherent with the input.
+    Each averaged segment has so many samples; by default a quarter of all, up to `LINES`. An
+    excited line has at least `least_power` of the largest power of the input. Return frequencies in
+    Hz, the response, and the fraction of the output power that is coherent with the input, (M,).
     """
     size = min(segment or min(LINES, max(16, input.size // 4)), input.size)
     lines = size // 2 + 1

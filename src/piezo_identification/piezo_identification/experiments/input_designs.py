@@ -69,15 +69,7 @@ def stair_harmonics(
 ) -> FloatArray:
     """Return harmonics from zero to each of the amplitudes in turn and back, (2.29), (3.6), (4.6).
 
-    Parameters
-    ----------
-    time_s : ndarray, shape (N,)
-    amplitudes_v : ndarray, shape (L,)
-        Repeated after L periods.
-
-    Returns
-    -------
-    ndarray, shape (N,)
+    They are given at the times, (N,). The amplitudes, (L,), are repeated after L periods.
     """
     # Rounding must not put a whole number of periods into the period before.
     periods = np.asarray(time_s) / harmonic_period_s

@@ -205,13 +205,9 @@ class ModelMonitor:
         return raised
 
     def pass_by(self, voltage_v: FloatArray, sample_period_s: float | None = None) -> None:
-        """Process samples without testing them, such as on the way to a reference.
+        """Process voltages, (N,), without testing them, such as on the way to a reference.
 
-        Parameters
-        ----------
-        voltage_v : ndarray, shape (N,)
-        sample_period_s : float, optional
-            Time for which each voltage is held; by default, the sample period of the monitor.
+        Each is held for `sample_period_s`; by default, for the sample period of the monitor.
         """
         period_s = sample_period_s or self._period_s
         for slow in self._slow:
@@ -226,12 +222,8 @@ class ModelMonitor:
     def begin_anew(self, memory: StageMemory | None = None, sample: int | None = None) -> None:
         """Restart learning without the known error of the model, such as after a gap.
 
-        Parameters
-        ----------
-        memory : StageMemory, optional
-            State of the stage; by default, the model keeps its present state.
-        sample : int, optional
-            Number of the next sample, to which times refer; by default, the count continues.
+        `memory` is the state of the stage; by default, the model keeps its present state. `sample`
+        is the number of the next sample, to which times refer; by default, the count continues.
         """
         self._sample = self._sample if sample is None else sample
         if memory is not None:

@@ -84,22 +84,11 @@ class StageMonitor:
 
     def take(self, first_sample: int, sample_period_s: float, voltage_v: FloatArray,
              displacement_um: FloatArray, flags: int) -> list[Suspicion]:
-        """Process the next block of samples, and return the alarms that it raises.
+        """Process the next block of samples, and return its alarms, with times on the sample clock.
 
-        Parameters
-        ----------
-        first_sample : int
-            Number of the first sample on the sample clock.
-        sample_period_s : float
-            Sample period of the block, longer than that of the clock for slow waveforms.
-        voltage_v, displacement_um : ndarray, shape (n,)
-        flags : int
-            `Flag` bits of the block.
-
-        Returns
-        -------
-        list of Suspicion
-            Alarms, with times on the sample clock.
+        `first_sample` is the number of the first sample on that clock. The sample period is longer
+        than that of the clock for slow waveforms. Voltage and displacement are (n,), and `flags`
+        are the `Flag` bits of the block.
         """
         stride = round(sample_period_s * self.sample_rate_hz)
         if self._next is None or first_sample != self._next:

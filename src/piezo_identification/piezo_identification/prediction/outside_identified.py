@@ -69,14 +69,8 @@ def outside_identified(
     be m (M - m) / 3, that of a Dirichlet distribution with concentration 2. Outside the voltage
     range of the model, the standard deviation is the excess voltage times the largest gain.
 
-    Parameters
-    ----------
-    identified : IdentifiedModel
-        Model; without `visited`, only voltages outside its range are found.
-    voltage_v : array_like, shape (N,)
-        Voltage from the first sample that influences the hysteresis.
-    past_v : tuple of float
-        Earlier voltages.
+    For a model without `visited`, only voltages outside its range are found. The voltage, (N,),
+    begins with the first sample that influences the hysteresis; `past_v` are earlier ones.
     """
     hysteresis = identified.model.hysteresis
     voltage_v = np.asarray(voltage_v, dtype=float)
@@ -97,15 +91,8 @@ def outside_identified(
 def everett_variance_um2(hysteresis: PreisachModel, visited: BoolArray) -> FloatArray:
     """Return the variance of the Everett value in each cell from the unvisited cells it includes.
 
-    Parameters
-    ----------
-    visited : ndarray of bool, shape (L, L)
-        True for cells that the recordings determine.
-
-    Returns
-    -------
-    ndarray, shape (L, L)
-        Variance in um^2; 0 in visited cells and near them.
+    Both arrays are (L, L). The variance is 0 in visited cells, which the recordings determine, and
+    near them.
     """
     size = len(visited)
     near = binary_dilation(visited, iterations=max(1, round(NEAR_VISITED * size)))

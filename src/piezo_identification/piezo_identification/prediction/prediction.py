@@ -75,10 +75,7 @@ class Prediction:
     def e_y_percent(self, part: NDArray[np.bool_] | slice = slice(None)) -> float:
         """Return the relative error (4.20) by the sensor, with the offset removed.
 
-        Parameters
-        ----------
-        part : slice or mask, shape (N,)
-            Samples to use; all by default.
+        `part` is a slice or mask of the samples to use, which are all by default.
         """
         used = np.zeros(self.time_s.size, dtype=bool)
         used[part] = True

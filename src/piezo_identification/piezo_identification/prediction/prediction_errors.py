@@ -69,10 +69,7 @@ def named_errors(errors: Mapping[str, Any], of: str = "") -> Iterator[tuple[str,
 def errors_of(predictions: Sequence[Prediction]) -> dict[str, float]:
     """Return the errors of predictions together, named as those of `unseen_errors`.
 
-    Parameters
-    ----------
-    predictions : sequence of Prediction
-        Predictions for the stretches of one experiment; each has its own offset.
+    They are of the stretches of one experiment, and each has its own offset.
     """
     errors = {"e_y_percent": _joint_e_y_percent(predictions, [each.good for each in predictions])}
     slow = [slow_branches(each.time_s, each.voltage_v) for each in predictions]

@@ -31,18 +31,8 @@ def read_as_identified(identified: IdentifiedModel,
 
     A model file states when the rows of its recordings were read. A further recording may be of the
     same logger or of another one, so its rows are aligned only if the model then fits better.
-
-    Returns
-    -------
-    recording : Recording
-        Recording with the displacements at the times of its rows.
-    read_at_samples : float
-        Time at which they were read, in sample periods after the voltage of a row changed.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short.
+    Return the aligned recording, and when its rows were read, in sample periods after the voltage
+    of a row changed. Raise ValueError if the recording has gaps, or is too short.
     """
     return read_as_explained(
         identified.model, recording,
@@ -55,23 +45,10 @@ def all_as_identified(
 ) -> tuple[list[Recording], list[str]]:
     """Align the rows of recordings with a given reading time, or else like the identification.
 
-    Parameters
-    ----------
-    model : IdentifiedModel or StageModel
-        Model; for a `StageModel`, which has no reading times, the rows are unchanged.
-    declared_at_samples : float
-        Given reading time of the rows, in sample periods after their voltage; 0 if not given.
-
-    Returns
-    -------
-    recordings : list of Recording
-    sentences : list of str
-        Messages on recordings whose rows were aligned because the model then fits better.
-
-    Raises
-    ------
-    ValueError
-        If a recording has gaps, or is too short.
+    `declared_at_samples` is the given time, in sample periods after the voltage of a row; 0 if not
+    given. For a `StageModel`, which has no reading times, the rows are then unchanged. Also return
+    a sentence on each recording whose rows were aligned because the model then fits better. Raise
+    ValueError if a recording has gaps, or is too short.
     """
     aligned, sentences = [], []
     for recording in recordings:
@@ -92,18 +69,9 @@ def predict_as_identified(
 ) -> tuple[Prediction, list[str]]:
     """Simulate a model for a recording whose rows are aligned by `all_as_identified`.
 
-    Of a recording with gaps the longest stretch between them is simulated.
-
-    Returns
-    -------
-    prediction : Prediction
-    sentences : list of str
-        Messages on gaps, on the assumed reading time, sign, outliers and past, and on units.
-
-    Raises
-    ------
-    ValueError
-        If the recording, or its longest stretch, is too short.
+    Of a recording with gaps the longest stretch between them is simulated. Also return sentences on
+    gaps, on the assumed reading time, sign, outliers and past, and on units. Raise ValueError if
+    the recording, or its longest stretch, is too short.
     """
     recording, sentences = longest_stretch(recording)
     (read,), more = all_as_identified(model, [recording], declared_at_samples)
@@ -140,23 +108,10 @@ def _gain_sentences(prediction: Prediction, path: str) -> list[str]:
 def read_as_explained(
     model: StageModel, recording: Recording, read_at_samples: Sequence[float],
 ) -> tuple[Recording, float]:
-    """Align the rows of a recording with the reading time for which a model fits best.
+    """Align the rows of a recording with the reading time for which a model fits best; return both.
 
-    Parameters
-    ----------
-    read_at_samples : sequence of float
-        Reading times in sample periods after the voltage of a row changed; 0 and the time that
-        jumps show are always tried.
-
-    Returns
-    -------
-    recording : Recording
-    read_at_samples : float
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short.
+    Reading times are given in sample periods after the voltage of a row changed; 0 and the time
+    that jumps show are always tried. Raise ValueError if the recording has gaps, or is too short.
     """
     instants = {read_as(recording, instant) for instant in read_at_samples}
     instants |= {reading_at_jumps(recording) or 0.0}

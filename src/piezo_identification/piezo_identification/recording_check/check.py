@@ -209,13 +209,7 @@ class RecordingCheck:
 
 
 def check_recording(recording: Recording) -> RecordingCheck:
-    """Check the properties of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recording of any origin; ramps before and after a waveform are omitted.
-    """
+    """Check the properties of a recording of any origin, without ramps around a waveform."""
     playing = recording.playing | recording.tracking
     # Tables do not mark the rows that lead to a square wave; `identify` cuts them the same way.
     played = square_part(recording.select(playing) if playing.any() else recording)

@@ -78,14 +78,9 @@ def suitability(check: RecordingCheck) -> dict[str, Suitability]:
 
 
 def suitability_for(check: RecordingCheck, experiment: str) -> Suitability:
-    """Return the suitability of a recording for one experiment.
+    """Return the suitability of a recording for one of `EXPERIMENTS`.
 
-    Parameters
-    ----------
-    check : RecordingCheck
-        Properties of the recording; only those that the experiment needs are computed.
-    experiment : str
-        One of `EXPERIMENTS`.
+    Only the properties that this experiment needs are computed.
     """
     hindrance = _for_nothing(check)
     if hindrance:
@@ -113,10 +108,7 @@ class Misfit:
 def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[Misfit]:
     """Yield the recordings that are unsuitable for the experiment they were given for.
 
-    Parameters
-    ----------
-    given : Recording, sequence of Recording, or FrequencyResponse
-        Data of the experiment; a response is not checked.
+    A response is not checked.
     """
     for recording in () if isinstance(given, FrequencyResponse) else listed(given):
         check = check_recording(recording)
@@ -129,20 +121,12 @@ def misfits(given: Recordings | FrequencyResponse, experiment: str) -> Iterator[
 
 
 def given_as(fit_for: Mapping[str, Mapping[str, Suitability]]) -> dict[str, list[str]]:
-    """Assign recordings to experiments.
+    """Return the names of the recordings for each experiment, from their suitability by name.
 
-    Parameters
-    ----------
-    fit_for : dict of str to (dict of str to Suitability)
-        Suitability by name of the recording, then by experiment.
-
-    Returns
-    -------
-    dict of str to (list of str)
-        Names of the recordings by experiment: those that are suitable, or else those that are
-        partly suitable; of these, those that no experiment before it uses, if there are any. The
-        validation is the first recording that no other experiment uses, or else the last one that
-        is not the only one of an experiment. It is missing if there is none.
+    They are those that are suitable, or else those that are partly suitable; of these, those that
+    no experiment before it uses, if there are any. The validation is the first recording that no
+    other experiment uses, or else the last one that is not the only one of an experiment. It is
+    missing if there is none.
     """
     given: dict[str, list[str]] = {}
     for experiment in EXPERIMENTS[:-1]:
@@ -320,16 +304,8 @@ def jump_response(voltage_v: FloatArray, displacement_um: FloatArray,
                   jumps: np.ndarray) -> FloatArray:
     """Return the mean response to steps, scaled to 0 before the step and 1 at the end of the hold.
 
-    Parameters
-    ----------
-    voltage_v, displacement_um : ndarray, shape (N,)
-    jumps : ndarray of int
-        Samples at which the voltage changes its level.
-
-    Returns
-    -------
-    ndarray, shape (M,)
-        Response from the sample of the jump on, for up to 200 samples or a usual hold.
+    The voltage changes its level at the samples `jumps`. The response, (M,), begins with the sample
+    of the jump, and has up to 200 samples or a usual hold.
     """
     edges = np.append(jumps, len(voltage_v))
     holds = np.diff(edges)

@@ -30,14 +30,9 @@ def identification_page(identified: IdentifiedModel, given: Mapping[str, Data], 
                         read_at_samples: float = 0.0, details: Sequence[Detail] = ()) -> str:
     """Return the page of an identification as HTML.
 
-    Parameters
-    ----------
-    given : dict of str to Recording or FrequencyResponse
-        Data from `given_data`, including the validation if there is one.
-    read_at_samples : float
-        Value of this argument in the call of `identify`.
-    details : sequence of Detail
-        Notes of that call on how the model was found.
+    `given` are the data from `given_data`, including the validation if there is one.
+    `read_at_samples` is that of the call of `identify`, and `details` are the notes of that call on
+    how the model was found.
     """
     evidence = component_evidence(identified, given, read_at_samples)
     validation = [data for name, data in given.items() if name == "validation"]

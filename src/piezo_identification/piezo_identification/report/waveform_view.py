@@ -129,20 +129,8 @@ def mean_hold(steps: NDArray[np.intp], voltage_v: FloatArray, signals: Sequence[
               sample_period_s: float) -> tuple[FloatArray, list[FloatArray], int]:
     """Return the mean of signals after the steps of a voltage, with falling steps inverted.
 
-    Parameters
-    ----------
-    steps : ndarray of int
-        Samples at which the voltage changes its level.
-    voltage_v : ndarray, shape (N,)
-    signals : sequence of ndarray, shape (N,)
-
-    Returns
-    -------
-    since_s : ndarray, shape (M,)
-        Time since the step, to the end of a usual hold.
-    means : list of ndarray, shape (M,)
-    count : int
-        Number of averaged steps.
+    The voltage changes its level at the samples `steps`. Returned are the time since the step, to
+    the end of a usual hold, (M,), the mean of each signal, (M,), and the number of averaged steps.
     """
     edges = np.append(steps, voltage_v.size)
     holds = np.diff(edges)

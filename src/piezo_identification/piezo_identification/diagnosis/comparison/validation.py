@@ -33,12 +33,8 @@ class HeldOutErrors:
 class Validation:
     """Samples that were not fitted, of another recording or of stretches of those diagnosed.
 
-    Parameters
-    ----------
-    holdout : Recording or None
-        Recording with the sign of the model and with marked outliers.
-    reference : Validation, optional
-        Validation with the model as given, if the regression uses another model.
+    The held-out recording has the sign of the model, and marked outliers. `reference` is the
+    validation with the model as given, if the regression uses another model.
     """
 
     def __init__(self, regression: Regression, holdout: Recording | None = None,

@@ -125,18 +125,8 @@ def noise_and_errors(residual: FloatArray, errors: FloatArray) -> tuple[float, f
     in which white noise is smaller. Even if the difference is within its scatter, errors may be
     present: the size is the mean of a normal distribution about the estimate, truncated at zero.
 
-    Parameters
-    ----------
-    residual : (n,) array
-        Residual of the fit.
-    errors : (n, d) array
-        Drawn errors after projecting out effects and regressors.
-
-    Returns
-    -------
-    noise : float
-    size : float
-        Factor of the squares of the drawn errors.
+    The residual is (n,), and the drawn errors, after projecting out effects and regressors, are
+    (n, d). The size is a factor of their squares.
     """
     means = block_means(np.column_stack([residual, errors]))
     half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(residual**2))
@@ -162,18 +152,9 @@ def block_means(columns: FloatArray) -> FloatArray:
 
 
 def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean square of columns, (n, m), per shape, and per other direction.
+    """Return the mean square of columns, (n, m), per shape, and per other direction, each (m,).
 
-    Parameters
-    ----------
-    columns : (n, m) array
-    shapes : (n, k) array
-        Orthonormal, with k less than n.
-
-    Returns
-    -------
-    within, beyond : (m,) array
-        Equal for white noise.
+    The shapes, (n, k), are orthonormal, with k less than n. For white noise both are equal.
     """
     count, number = shapes.shape
     within = np.sum((shapes.T @ columns) ** 2, axis=0)

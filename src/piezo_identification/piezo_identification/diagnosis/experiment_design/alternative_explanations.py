@@ -113,16 +113,9 @@ def find_alternatives(regression: Regression, verdict: Mapping[str, Any],
     Each is estimated together with the model's parameters, with a prior as wide as the recordings
     of the identification allow: errors of a fixed model would resemble effects.
 
-    Parameters
-    ----------
-    regression : Regression
-        Regression on the diagnosed recordings, weighted with the effects found.
-    old : sequence of Recording
-        Recordings of the identification, conditioned as for a diagnosis.
-    others : iterable of tuples of Effect
-        Sets that were alternatives before.
-    stated_um : float
-        RMS of the known error of the model.
+    The regression on the diagnosed recordings is weighted with the effects found. `old` are the
+    recordings of the identification, conditioned as for a diagnosis, and `others` the sets that
+    were alternatives before. `stated_um` is the RMS of the known error of the model.
     """
     dataset, found = regression.dataset, effects_of(verdict)
     sets: dict[str, Effects] = {label_of(found): found}

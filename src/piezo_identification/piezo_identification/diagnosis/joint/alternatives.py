@@ -41,16 +41,8 @@ def from_afar(problem: JointProblem, simpler: JointFit, guesses: Sequence[Effect
     """Return the best fit of an effect: the given one, or one that starts from a changed model.
 
     The model's parameters compensate for most of an effect that was present at the identification.
-    The effect then looks smaller than it is, and a fit from there underestimates it.
-
-    Parameters
-    ----------
-    simpler : JointFit
-        Fit of the model without the effect.
-    guesses : sequence of piezo_models.effects.effect.Effect
-        Initial guesses of the effect; the given fit started from the first.
-    nearby : JointFit
-        Given fit of the effect.
+    The effect then looks smaller than it is, and a fit from there underestimates it. `simpler` is
+    the fit without the effect; the given fit, `nearby`, started from the first of the guesses.
     """
     held = _held(problem, simpler, guesses[1:])
     if held is not None and _may_lead(held, nearby):

@@ -351,13 +351,9 @@ def plain_model(model: StageModel, new: Sequence[Recording], old: Sequence[Recor
     """Fit a line and the loudest mode of a model, with a held voltage and with a smooth one.
 
     The recordings have the sign of the model, and marked outliers. Return the better one, or None
-    if the model has no mode, or both fit far worse than it does. An effect that came after the
-    identification adds to both residuals of the new recordings, but to none of the old ones.
-
-    Parameters
-    ----------
-    residual_um : float
-        RMS residual that the model leaves in the new recordings.
+    if the model has no mode, or both fit far worse than it does, which leaves `residual_um` RMS in
+    the new recordings. An effect that came after the identification adds to both residuals of the
+    new recordings, but to none of the old ones.
     """
     if model.dynamics.is_static and not model.effects_at("modes"):
         return None

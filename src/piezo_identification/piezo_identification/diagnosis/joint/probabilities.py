@@ -105,19 +105,7 @@ class ExpectedErrors:
             self.noise_um[:count], self.model_um[:count], self.accuracy_um[:count])
 
     def logarithms(self, squares_um2: FloatArray, samples: FloatArray) -> FloatArray:
-        """Return the log-evidence of a residual.
-
-        Parameters
-        ----------
-        squares_um2 : (..., R) array
-            Mean squares.
-        samples : (R,) array
-            Number of independent samples.
-
-        Returns
-        -------
-        (...) array
-        """
+        """Return the log-evidence, (...), of mean squares, (..., R), of so many samples, (R,)."""
         count = np.minimum(samples, SETTINGS.independent)
         variance = SIZES * self.model_um**2 + self.noise_um**2 * (
             count / samples + SETTINGS.noise_known)
@@ -227,17 +215,8 @@ def probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors,
                   new_count: int) -> dict[str, float]:
     """Return the probability of each set of effects, of none, and of something else.
 
-    Parameters
-    ----------
-    alternatives : sequence of Evidence
-        Alternatives of the same label share their probability.
-    new_count : int
-        Number of recordings, counted from the first, that are diagnosed.
-
-    Returns
-    -------
-    dict of str to float
-        In descending order; they sum to one.
+    They are in descending order, and sum to one. Alternatives of the same label share their
+    probability. The first `new_count` recordings are those that are diagnosed.
     """
     listed = listed_probabilities(alternatives, expected)
     best = int(np.argmax(listed))

@@ -48,15 +48,10 @@ def held_to_noise(shares: Mapping[str, float], remainders: Sequence[Remainder], 
                   stated_um: float, finds_nothing: bool) -> HeldToNoise:
     """Return the probability of something else, from residuals relative to the known noise.
 
-    Parameters
-    ----------
-    shares : dict of str to float
-        Probabilities based on the noise that each recording shows itself.
-    known : KnownNoise
-        Known noise with at least one source.
-    finds_nothing : bool
-        True if no effect is named. If the identification found components inadequate, the error of
-        the model is then limited to the noise, and the tolerance of the identification applies.
+    `shares` are the probabilities based on the noise that each recording shows itself. The known
+    noise has at least one source. If no effect is named (`finds_nothing`), and the identification
+    found components inadequate, the error of the model is limited to the noise, and the tolerance
+    of the identification applies.
     """
     contradicts = finds_nothing and bool(known.inadequate)
     tolerance = FIT.adequate_tolerance if contradicts else FIT.model_tolerance

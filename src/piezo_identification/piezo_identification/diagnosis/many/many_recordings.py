@@ -158,21 +158,12 @@ def _kept(path: Path) -> str:
 
 def diagnose_rows(client: "Client", rows: Sequence[DiagnosisRow],
                   progress: Callable[[int], None]) -> list[dict[str, Any]]:
-    """Diagnose the rows of a table through Dask.
+    """Return the results of `diagnose_row` for the rows of a table, in their order, through Dask.
 
-    Parameters
-    ----------
-    client : distributed.Client
-        Client whose workers have the same files at the same paths.
-    progress : callable
-        Called with the number of finished rows.
-
-    Returns
-    -------
-    list of dict
-        Results of `diagnose_row`, in the order of the rows. The row of a worker that died is given
-        to another one. It becomes an error if it kills workers repeatedly, if the scheduler is
-        gone, or if there is no worker for `LONELY_S`.
+    The workers of the client have the same files at the same paths. `progress` is called with the
+    number of finished rows. The row of a worker that died is given to another one. It becomes an
+    error if it kills workers repeatedly, if the scheduler is gone, or if there is no worker for
+    `LONELY_S`.
     """
     results = _diagnose_together(client, rows, progress)
     killed = [number for number, result in enumerate(results) if result.pop(KILLED, False)]

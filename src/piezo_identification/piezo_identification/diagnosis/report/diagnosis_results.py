@@ -102,21 +102,11 @@ def diagnose_files(
 ) -> DiagnosisResults:
     """Diagnose recordings and write verdict, extended model and report.
 
-    Raise ValueError if a file cannot be read or written, or a recording cannot be used.
-
-    Parameters
-    ----------
-    holdout : path-like or None
-        Recording on which the errors are measured.
-    directory : path-like
-        Created if it does not exist.
-    progress : callable
-        Called with (what is done, fraction); an exception that it raises ends the work.
-    identified_from : sequence of path-like
-        Recordings from which the model was identified, if they are not at the paths in the model
-        file.
-    budget : Budget, optional
-        Time limit, see `diagnose`.
+    The errors are measured on `holdout`. The directory is created if it does not exist. `progress`
+    is called with (what is done, fraction); an exception that it raises ends the work.
+    `identified_from` are the recordings from which the model was identified, if they are not at the
+    paths in the model file; for the time limit see `diagnose`. Raise ValueError if a file cannot be
+    read or written, or a recording cannot be used.
     """
     budget = budget or Budget()
     progress("read the recordings", 0.0)

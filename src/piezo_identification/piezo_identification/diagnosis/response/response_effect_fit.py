@@ -25,12 +25,8 @@ from piezo_models.effects import Effect, Extent
 class ResponseProblem:
     """A measured response to which effects are fitted, with a model's creep and dynamics.
 
-    Parameters
-    ----------
-    model : StageModel
-        Given model; its own effects are not changed.
-    measured : FrequencyResponse
-        Response without a hold and with the sign of the model.
+    The effects of the given model itself are not changed. The response has no hold, and the sign of
+    the model.
 
     Attributes
     ----------
@@ -61,16 +57,9 @@ class ResponseProblem:
 
     def fit(self, effects: Sequence[Effect], steps: int,
             begun: WholeFit | None = None) -> WholeFit:
-        """Fit effects, creep and dynamics.
+        """Fit guessed effects, creep and dynamics in at most so many steps; 0 for them as they are.
 
-        Parameters
-        ----------
-        effects : sequence of piezo_models.effects.effect.Effect
-            Initial guesses.
-        steps : int
-            Largest number of steps; 0 for the effects as they are.
-        begun : WholeFit, optional
-            Fit whose creep and dynamics are the initial ones; by default those of the given model.
+        The initial creep and dynamics are those of the fit `begun`, or of the given model.
         """
         check_cancelled()
         no_rows = np.zeros(0, dtype=bool)

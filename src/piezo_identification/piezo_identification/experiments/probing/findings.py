@@ -131,15 +131,9 @@ def measure_pulse(displacement_um: FloatArray, rise: int, fall: int, noise_um: f
 
 def measure_response(displacement_um: FloatArray, rises: Sequence[int], dwell: int, rest: Rest,
                      sample_period_s: float) -> StepResponse:
-    """Average the responses to equal pulses, and decompose the mean into exponentials.
+    """Average the responses, (N,), to equal pulses, and decompose the mean into exponentials.
 
-    Parameters
-    ----------
-    displacement_um : ndarray, shape (N,)
-    rises : sequence of int
-        Samples at which the voltage rises; it falls `dwell` samples later.
-    dwell : int
-        Samples from one change of the voltage to the next.
+    The voltage rises at the samples `rises`, and each time falls `dwell` samples later.
     """
     up_um = np.mean([displacement_um[n:n + dwell] for n in rises], axis=0)
     down_um = np.mean([displacement_um[n + dwell:n + 2 * dwell] for n in rises], axis=0)
@@ -155,15 +149,8 @@ def measure_creep(time_s: FloatArray, displacement_um: FloatArray, steps_s: Floa
     """Find how much and for how long a stage creeps after a step.
 
     The creep is a sum of relaxations with time constants an octave apart and amplitudes of one
-    sign. The creep of earlier steps is superposed (Boltzmann).
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (N,)
-        Time since the last step; negative before it.
-    displacement_um : ndarray, shape (N,)
-    steps_s : ndarray, shape (S,)
-        Times of all steps, alternately up and down; the last is at 0.
+    sign. The creep of earlier steps is superposed (Boltzmann). Times, (N,), count from the last
+    step, and are negative before it; `steps_s` are those of all steps, alternately up and down.
     """
     displacement_um = displacement_um - displacement_um[time_s < 0.0].mean()
     after = time_s > 0.0
