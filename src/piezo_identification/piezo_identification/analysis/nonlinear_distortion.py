@@ -111,40 +111,38 @@ class NonlinearDistortion:
         return max(0.0, float(np.mean(power))) * count
 
 
-def nonlinear_distortion(voltage_v: FloatArray, displacement_um: FloatArray,
-                         sample_period_s: float, driving: FloatArray | None = None,
-                         ) -> NonlinearDistortion:
-    """Separate noise, even and odd distortion.
+def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
+                         driving: FloatArray | None = None) -> NonlinearDistortion | None:
+    """Separate noise and distortion of any response to a voltage, such as a model's residual.
 
-    Voltage and displacement are periods of the multisine, (P, N), without the one in which the
-    motion settles. `driving`, (P, N), is the input of a linear cause, including its distortion; by
-    default, it is the voltage. Raise ValueError if there are too few periods, or the voltage omits
-    no odd or no even line.
+    Voltage and response have the shape (N,); the motion settles in the first period. `driving`,
+    (N,), is the input of a linear cause, including its distortion; by default, it is the voltage.
+    The result is None if the voltage is not a repeated multisine that omits odd and even lines.
     """
-    periods, samples = displacement_um.shape
-    if periods < FEWEST_PERIODS:
-        raise ValueError(f"{periods} settled periods are given: give at least {FEWEST_PERIODS}, "
-                         "as noise is what differs between them")
-    inputs = 2.0 * np.fft.rfft(voltage_v.mean(axis=0))[1:] / samples
-    steady_um = _without_drift(displacement_um)
-    outputs = 2.0 * np.fft.rfft(steady_um, axis=1)[:, 1:] / samples
+    period = repeated_period(voltage_v)
+    if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:
+        return None
+
+    def settled(signal: FloatArray) -> FloatArray:
+        return signal[period : signal.size // period * period].reshape(-1, period)
+
+    inputs = 2.0 * np.fft.rfft(settled(voltage_v).mean(axis=0))[1:] / period
     sizes = np.abs(inputs)
     is_excited = sizes > EXCITED * sizes.max()
-    count = int(np.flatnonzero(is_excited)[-1]) + 1
-    lines = np.arange(1, count + 1)
+    excited = 1 + np.flatnonzero(is_excited)
+    if excited.size < FEWEST_LINES or np.any(excited % 2 == 0) or 2 * excited.size > excited[-1]:
+        return None
     if driving is not None:
-        inputs = 2.0 * np.fft.rfft(_without_drift(driving).mean(axis=0))[1:] / samples
-    inputs, is_excited, is_even = inputs[:count], is_excited[:count], lines % 2 == 0
-    if np.any(is_excited & is_even) or np.all(is_excited | is_even):
-        raise ValueError("the voltage excites even lines or every odd one: "
-                         "record the experiment 'distortion'")
-    mean_um = outputs[:, :count].mean(axis=0)
-    noise_um = np.sqrt(np.mean(np.abs(outputs[:, :count] - mean_um) ** 2, axis=0)
-                       * periods / (periods - 1))
+        inputs = 2.0 * np.fft.rfft(_without_drift(settled(driving)).mean(axis=0))[1:] / period
+    lines = np.arange(1, excited[-1] + 1)
+    inputs, is_excited = inputs[: lines.size], is_excited[: lines.size]
+    outputs = 2.0 * np.fft.rfft(_without_drift(settled(signal_um)), axis=1)[:, lines] / period
+    periods, mean_um = len(outputs), outputs.mean(axis=0)
+    noise_um = np.sqrt(np.mean(np.abs(outputs - mean_um) ** 2, axis=0) * periods / (periods - 1))
     residual_um = np.where(is_excited, mean_um, mean_um - _linear_um(inputs, mean_um, is_excited))
     return NonlinearDistortion(
-        lines / (samples * sample_period_s), is_excited, is_even, np.abs(residual_um), noise_um,
-        periods)
+        lines / (period * sample_period_s), is_excited, lines % 2 == 0, np.abs(residual_um),
+        noise_um, periods)
 
 
 def _without_drift(periods_um: FloatArray) -> FloatArray:
@@ -164,27 +162,6 @@ def _linear_um(inputs: ComplexArray, mean_um: ComplexArray, is_excited: BoolArra
     lines = np.arange(inputs.size)
     gains = mean_um[is_excited] / inputs[is_excited]
     return np.asarray(np.interp(lines, lines[is_excited], gains) * inputs)
-
-
-def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
-                         driving: FloatArray | None = None) -> NonlinearDistortion | None:
-    """Separate noise and distortion of any response to a voltage, such as a model's residual.
-
-    Voltage, response and `driving`, the input of a linear cause, have the shape (N,); the motion
-    settles in the first period. It is None if the voltage is not a repeated multisine that omits
-    odd and even lines.
-    """
-    period = repeated_period(voltage_v)
-    if period is None or voltage_v.size // period < FEWEST_PERIODS + 1:
-        return None
-    whole = slice(period, voltage_v.size // period * period)
-    sizes = np.abs(np.fft.rfft(voltage_v[whole][:period]))[1:]
-    lines = 1 + np.flatnonzero(sizes > EXCITED * sizes.max())
-    if lines.size < FEWEST_LINES or np.any(lines % 2 == 0) or 2 * lines.size > lines[-1]:
-        return None
-    return nonlinear_distortion(
-        voltage_v[whole].reshape(-1, period), signal_um[whole].reshape(-1, period),
-        sample_period_s, None if driving is None else driving[whole].reshape(-1, period))
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,13 @@
 
 import numpy as np
 import pytest
+from made_by_scipy import logged
 from scipy.signal import lfilter
 
-from piezo_identification.analysis.nonlinear_distortion import nonlinear_distortion
+from piezo_identification.analysis.nonlinear_distortion import distortion_of_signal
 from piezo_identification.experiments.catalogue import StageLimits, distortion, named_experiment
 from piezo_identification.recording_check.check import check_recording
 from piezo_identification.recording_check.check_report import check_table
-from piezo_recorder.reading.recording import Recording
-from piezo_recorder.sample_block import Flag
 
 LIMITS = StageLimits(-20.0, 120.0, 2e5, 4000.0)
 
@@ -25,10 +24,10 @@ def multisine():
 
 def measured(experiment, answer_um, noise_um=0.0):
     """Separate what periods of an answer show that follow the first one."""
-    periods = experiment.repeats - 1
-    voltage_v = np.tile(experiment.voltage_v, (periods, 1))
-    noise = noise_um * np.random.default_rng(3).normal(size=voltage_v.shape)
-    return nonlinear_distortion(voltage_v, answer_um + noise, experiment.sample_period_s)
+    voltage_v = np.tile(experiment.voltage_v, experiment.repeats)
+    noise = np.random.default_rng(3).normal(size=voltage_v.size)
+    return distortion_of_signal(voltage_v, np.tile(answer_um, experiment.repeats)
+                                + noise_um * noise, experiment.sample_period_s)
 
 
 def power(signal, lines):
@@ -77,11 +76,8 @@ def test_check_of_a_recording_shows_the_distortion(multisine):
     count = wave.size * experiment.repeats
     answer_um = np.tile(wave + 0.05 * wave**2, experiment.repeats)
     answer_um += 1e-3 * np.random.default_rng(6).normal(size=count)
-    recording = Recording(
-        "multisine", LIMITS.sample_rate_hz, np.arange(count),
-        np.full(count, experiment.sample_period_s),
-        np.tile(experiment.voltage_v, experiment.repeats), answer_um,
-        np.full(count, Flag.PLAYING, dtype=np.uint32))
+    recording = logged(np.tile(experiment.voltage_v, experiment.repeats), answer_um,
+                       experiment.sample_period_s)
     row, = (line for line in check_table(check_recording(recording), {})
             if line.startswith("distortion"))
     found = measured(experiment, wave + 0.05 * wave**2, 1e-3)
@@ -107,10 +103,10 @@ def test_experiment_that_cannot_tell_is_refused(parameters):
         distortion(LIMITS, **parameters)
 
 
-def test_voltage_without_lines_left_out_is_refused(multisine):
+def test_other_voltages_and_a_single_settled_period_show_no_distortion(multisine):
     experiment, wave = multisine
-    full = np.tile(wave + np.roll(wave, 7) ** 2, (3, 1))
-    with pytest.raises(ValueError, match="record the experiment 'distortion'"):
-        nonlinear_distortion(full, full, experiment.sample_period_s)
-    with pytest.raises(ValueError, match="1 settled periods"):
-        nonlinear_distortion(full[:1], full[:1], experiment.sample_period_s)
+    full, left_out = (np.tile(each, 4) for each in (wave + np.roll(wave, 7) ** 2, wave))
+    period_s = experiment.sample_period_s
+    assert distortion_of_signal(full, full, period_s) is None
+    assert distortion_of_signal(left_out, left_out, period_s) is not None
+    assert distortion_of_signal(*[left_out[: 2 * wave.size]] * 2, period_s) is None
