@@ -182,12 +182,12 @@ def diagnose(model: StageModel, recordings: Sequence[Recording],
     >>> diagnose(model, [recording])
     <Diagnosis: explained by ..._lag, ... nm RMS before, ... nm after, ... nm noise>
     """
-    refuse_known_holdout(holdout, recordings, identified_from)
+    known = identified_from or IdentificationRecordings()
+    refuse_known_holdout(holdout, recordings, known)
     budget = budget or Budget()
     with spending(budget):
-        diagnosis = _diagnosed(model, recordings, holdout, progress,
-                               identified_from or IdentificationRecordings(), stated_um, noise,
-                               budget)
+        diagnosis = _diagnosed(
+            model, recordings, holdout, progress, known, stated_um, noise, budget)
     return replace(diagnosis, not_tried=budget.sentence())
 
 
@@ -224,16 +224,15 @@ def _diagnosed(model: StageModel, recordings: Sequence[Recording], holdout: Reco
 
 
 def refuse_known_holdout(holdout: Recording | None, recordings: Sequence[Recording],
-                         identified_from: IdentificationRecordings | None) -> None:
-    """Raise an error if the held-out recording is also diagnosed, or used in the identification.
+                         known: IdentificationRecordings) -> None:
+    """Raise ValueError if the held-out recording is also diagnosed, or used in the identification.
 
-    Raise ValueError if it has the SHA-256 of one of them. The validation recording of an
-    identification is allowed, because it was not fitted.
+    They are compared by SHA-256. The validation recording of an identification is allowed, because
+    it was not fitted.
     """
     digest = "" if holdout is None else digest_of(holdout)
     if holdout is None or not digest:
         return
-    known = identified_from or IdentificationRecordings()
     what = ""
     if digest in map(digest_of, recordings):
         what = "one of the recordings that are diagnosed"

@@ -21,8 +21,7 @@ def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[
 
 def measured_rows(check: RecordingCheck) -> list[tuple[str, str]]:
     """Return the measured properties of a recording as pairs of name and value."""
-    recording = check.recording
-    period_s = float(np.median(recording.sample_periods_s))
+    recording, period_s = check.recording, check.sample_period_s
     of_segment = "" if not check.gaps else (
         f" in {check.gaps + 1} segments, of which the longest, {len(recording.voltage_v)} samples, "
         "is looked at")

@@ -208,12 +208,11 @@ def _creep(check: RecordingCheck) -> Suitability:
     rows = hold_s / check.sample_period_s
     if rows < NEEDS.rows_per_hold:
         return Suitability("no", f"a hold has {rows:.0f} rows only: record faster")
-    slowest = 1.0 / hold_s
     if not check.starts_settled:
         return Suitability("partly", "it does not begin at rest: its first level shows the creep "
                            "of earlier voltages")
     return Suitability("yes", f"levels held for {hold_s:.4g} s, for poles from about "
-                       f"{slowest:.2g} rad/s up")
+                       f"{1.0 / hold_s:.2g} rad/s up")
 
 
 def _hold_s(check: RecordingCheck) -> float:
@@ -247,8 +246,7 @@ def _dynamics(check: RecordingCheck) -> Suitability:
 
 def _motion_with_dynamics(check: RecordingCheck) -> Suitability:
     waveform = check.waveform
-    period_s = float(np.median(check.recording.sample_periods_s))
-    rate = f"at {round(1.0 / period_s, 4):g} rows a second"
+    rate = f"at {round(1.0 / check.sample_period_s, 4):g} rows a second"
     voltage_v, displacement_um = check.voltage_v, check.displacement_um
     if waveform.kind.has_levels:
         response = jump_response(voltage_v, displacement_um, waveform.jumps)

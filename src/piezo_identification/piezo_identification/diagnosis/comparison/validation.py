@@ -19,6 +19,13 @@ from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.recording import Recording
 
 
+def held_out_rows(regression: Regression, fit: Fit) -> list[HeldOut]:
+    """Return the residual of a fit on the held-out rows of each recording."""
+    residual_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
+    return [HeldOut(residual_um[rows], stretch[rows]) for rows in (
+        mask & regression.validation for mask in regression.dataset.masks())]
+
+
 @dataclass(frozen=True)
 class HeldOutErrors:
     """Errors of the model as given and of the extended one, on the same samples."""
@@ -93,16 +100,14 @@ class Validation:
 
         For a fit without effects, that of the given model is used for the latter if it is smaller.
         """
-        regression, dataset = self.regression, self.regression.dataset
-        residual_um = fit.residual * regression.tolerance_um
-        found = []
-        for recording, part, mask in zip(
-                dataset.recordings, dataset.simulated, dataset.masks(), strict=True):
-            rows = mask & regression.validation
+        dataset, found = self.regression.dataset, []
+        for recording, part, held_out in zip(
+                dataset.recordings, dataset.simulated, held_out_rows(self.regression, fit),
+                strict=True):
             measured_um = part.measured_um[part.begin :]
             found.append(Remainder(
-                str(recording.path), HeldOut(residual_um[rows], dataset.stretch[rows]),
-                part.sample_period_s, float(np.ptp(measured_um)), float(np.std(measured_um))))
+                str(recording.path), held_out, part.sample_period_s, float(np.ptp(measured_um)),
+                float(np.std(measured_um))))
         if self.holdout is not None:
             samples = [self._of(fit), *([] if fit.effects else [self._given])]
             best = min(samples, key=lambda each: each.errors(each.good)["rms_um"])

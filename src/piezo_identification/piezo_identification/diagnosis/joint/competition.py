@@ -14,6 +14,7 @@ from piezo_identification.diagnosis.comparison.selection import (
     in_place_of_the_found,
     select_effects,
 )
+from piezo_identification.diagnosis.comparison.validation import held_out_rows
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
@@ -38,7 +39,7 @@ from piezo_identification.fitting.dataset import Dataset, dataset_of, simulate_r
 from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import free_count
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
-from piezo_identification.fitting.model_weights import HeldOut, expected_widths, held_out_of
+from piezo_identification.fitting.model_weights import expected_widths, held_out_of
 from piezo_identification.fitting.regression import (
     Fit,
     Regression,
@@ -298,14 +299,7 @@ def _evidence_of(regression: Regression, fit: Fit) -> Evidence:
         [effect for effect in fit.effects if type(effect) is not Outliers],
         regression.dataset.extent)
     return Evidence.weighed(
-        label_of(fit.effects), _held_out(regression, fit), fit.covariance, widths)
-
-
-def _held_out(regression: Regression, fit: Fit) -> tuple[HeldOut, ...]:
-    """Return the residual of a fit on the held-out rows of each recording."""
-    residual_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
-    return tuple(HeldOut(residual_um[rows], stretch[rows]) for rows in (
-        mask & regression.validation for mask in regression.dataset.masks()))
+        label_of(fit.effects), held_out_rows(regression, fit), fit.covariance, widths)
 
 
 def selection_from(selection: Selection, competition: Competition,
