@@ -295,13 +295,6 @@ def test_identify_refuses_a_file_that_does_not_exist(name, files, tmp_path, caps
     assert not (tmp_path / "model.json").exists()
 
 
-def test_identify_refuses_the_recording_of_another_experiment(files, tmp_path, capsys):
-    wrong = dict(files) | {"creep": files["dynamics"]}
-    arguments = [*options(wrong), "--output", tmp_path / "model.json"]
-    told = refusal(identify_main, arguments, capsys)
-    assert "dynamics.csv can hardly stand for the creep" in told
-
-
 def test_identify_refuses_an_output_that_cannot_be_written_before_it_works(files, capsys):
     arguments = [*options(files), "--output", "/nowhere/at/all/model.json"]
     assert "--output" in refusal(identify_main, arguments, capsys)

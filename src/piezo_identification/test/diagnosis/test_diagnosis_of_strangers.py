@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_by_scipy import behind_mode, line_model, smooth_noise_v
 from scipy.integrate import solve_ivp
-from scipy.signal import cont2discrete, sawtooth
+from scipy.signal import sawtooth
 
 from piezo_identification.commands.diagnose_command import main as diagnose_main
 from piezo_identification.commands.identify_command import main as identify_main
@@ -16,10 +17,7 @@ from piezo_identification.conditioning.outlier_samples import good_samples, with
 from piezo_identification.diagnosis.diagnose import diagnose
 from piezo_identification.diagnosis.report.diagnosis_report import verdict_sentence
 from piezo_identification.prediction import predict
-from piezo_models.cascade import StageModel
-from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
-from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import read_recording
 
@@ -30,39 +28,16 @@ PERIOD_S = 1e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.05
 
 
-def line_model(gain_um_per_v=0.1, dynamics=None):
-    """Return a stage without hysteresis."""
-    return StageModel(
-        PreisachModel(-100.0, 100.0, np.zeros((1, 1)), -100.0 * gain_um_per_v,
-                      np.array([gain_um_per_v])),
-        CreepDynamics(), dynamics or ElectricVibrationDynamics())
-
-
 def smooth_noise(seed, samples=4000):
     """Return the voltage without anything fast, and from rest."""
-    white = np.random.default_rng(seed).normal(size=samples)
-    voltage_v = np.convolve(white, np.hanning(60), mode="same")
-    return 50.0 * voltage_v / np.abs(voltage_v).max()
-
-
-def held(w, damping_ratio, period_s):
-    """Return the matrices of a mode under a voltage that is held for each sample."""
-    a = np.array([[0.0, 1.0], [-w * w, -2.0 * damping_ratio * w]])
-    step, drive, *_ = cont2discrete(
-        (a, np.array([[0.0], [w * w]]), np.eye(2), np.zeros((2, 1))), period_s)
-    return step, drive[:, 0]
+    return smooth_noise_v(np.random.default_rng(seed), samples, 60)
 
 
 def answered(voltage_v, cubic=0.0):
-    """Return the displacement of a mass on a spring with a cubic part, by an integrator, (N,)."""
+    """Return the displacement of a mass on a spring, by an integrator with a cubic part, (N,)."""
     w, z = MODE_RAD_PER_S, DAMPING_RATIO
     if not cubic:
-        system = held(w, z, PERIOD_S)
-        state, displacement = np.zeros(2), np.empty(voltage_v.size)
-        for n, voltage in enumerate(voltage_v):
-            displacement[n] = state[0]
-            state = system[0] @ state + system[1] * 0.1 * voltage
-        return displacement
+        return behind_mode(0.1 * voltage_v, w, z)
 
     def motion(t, state):
         held_v = voltage_v[min(int(t / PERIOD_S + 1e-9), voltage_v.size - 1)]
@@ -91,7 +66,7 @@ def save(tmp_path, save_csv):
 
 @pytest.fixture
 def swinging():
-    return line_model(dynamics=ElectricVibrationDynamics(0.0, (MODE_RAD_PER_S,), (DAMPING_RATIO,)))
+    return line_model(MODE_RAD_PER_S, DAMPING_RATIO)
 
 
 @pytest.mark.usefixtures("without_pictures")
@@ -192,12 +167,7 @@ def test_the_ringing_of_a_strong_mode_is_not_left_out(save):
     """1.5 kHz with 9 % of the compliance, at 40 kHz, beside a model without any mode."""
     samples, period_s = 12_000, 25e-6
     voltage_v = np.where((np.arange(samples) // 1000) % 2, 40.0, -40.0)
-    w = 2.0 * np.pi * 1500.0
-    a, b = held(w, 0.015, period_s)
-    state, ringing = np.array([-40.0, 0.0]), np.empty(samples)
-    for n, voltage in enumerate(voltage_v):
-        ringing[n] = state[0]
-        state = a @ state + b * voltage
+    ringing = behind_mode(voltage_v + 40.0, 2.0 * np.pi * 1500.0, 0.015, period_s) - 40.0
     late_v = np.r_[voltage_v[0], voltage_v[:-1]]
     measured_um = with_noise(0.1 * (0.91 * late_v + 0.09 * ringing))
     recording = replace(
@@ -224,8 +194,7 @@ def test_a_cubic_spring_is_found_and_holds_far_beyond_its_data(save, swinging):
 @pytest.mark.long
 def test_all_parameters_of_the_model_are_fitted_beside_the_effects_found(save):
     """The linear part of a stage with a spring is wrong, as it was fitted without the spring."""
-    wrong = line_model(0.097, ElectricVibrationDynamics(
-        0.0, (1.03 * MODE_RAD_PER_S,), (1.2 * DAMPING_RATIO,)))
+    wrong = line_model(1.03 * MODE_RAD_PER_S, 1.2 * DAMPING_RATIO, gain_um_per_v=0.097)
     fitted, unseen = (
         read_recording(save(f"seed_{seed}", voltage_v, with_noise(answered(voltage_v, 0.02), seed)))
         for seed in (1, 2) for voltage_v in [3.0 * np.repeat(smooth_noise(seed)[::10], 5)])
