@@ -81,17 +81,13 @@ def test_slow_noise_of_the_sensor_is_told_by_repeats(plant, play):
     assert part.noise_rms_um == pytest.approx(np.std(slow_um) / np.sqrt(0.85 * PERIODS), rel=0.15)
 
 
-HIDDEN = {
-    "a delay": (replace, {"effects": (Delay(1e-4),)}),
-    "a mode": (replace, {"dynamics": ElectricVibrationDynamics(
-        0.00049, (2846.0, 4909.0, 8800.0), (0.685, 0.082, 0.02))}),
-}
-
-
-@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize("hidden", [
+    {"effects": (Delay(1e-4),)},
+    {"dynamics": ElectricVibrationDynamics(
+        0.00049, (2846.0, 4909.0, 8800.0), (0.685, 0.082, 0.02))},
+], ids=["a delay", "a mode"])
 def test_what_the_dynamics_lack_is_told_with_its_size_and_place(plant, play, hidden):
-    change, fields = HIDDEN[hidden]
-    stage = change(plant, **fields)
+    stage = replace(plant, **hidden)
     quiet, noisy = (play(experiments.dynamics(), 1, stage=stage, noise_um=noise_um)
                     for noise_um in (0.0, NOISE_UM))
     truth_um = lack_of_fit(component_residual("dynamics", plant, quiet)).residual_rms_um
@@ -134,10 +130,15 @@ def test_creep_that_is_a_tenth_too_fast_is_inadequate(plant, recordings):
     assert part.advice.startswith("record the creep longer, or let diagnose")
 
 
-def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):
+@pytest.fixture
+def bent(recordings):
+    """Loops with a bump about 90 V, on the way up and down."""
     recording = recordings["hysteresis"]
     bump_um = 0.05 * np.exp(-(((recording.voltage_v - 90.0) / 4.0) ** 2))
-    bent = replace(recording, displacement_um=recording.displacement_um + bump_um)
+    return replace(recording, displacement_um=recording.displacement_um + bump_um)
+
+
+def test_loops_that_the_model_misses_are_told_by_voltage(plant, bent):
     part = adequacy_of(plant, {"hysteresis": bent})["hysteresis"]
     assert part.verdict == "inadequate"
     low_v, high_v = (float(word) for word in part.left.split(" and ")[1].split(" V")[0].split(
@@ -147,10 +148,8 @@ def test_loops_that_the_model_misses_are_told_by_voltage(plant, recordings):
     assert "hysteresis is inadequate" in table
 
 
-def test_every_recording_of_a_component_is_tested_but_for_a_few_samples(plant, recordings):
+def test_every_recording_of_a_component_is_tested_but_for_a_few_samples(plant, recordings, bent):
     recording = recordings["hysteresis"]
-    bump_um = 0.05 * np.exp(-(((recording.voltage_v - 90.0) / 4.0) ** 2))
-    bent = replace(recording, displacement_um=recording.displacement_um + bump_um)
     short = recording.select(np.arange(recording.voltage_v.size) < 10)
     adequacy = adequacy_of(
         plant, {"hysteresis": recording, "hysteresis 2": bent, "hysteresis 3": short})
