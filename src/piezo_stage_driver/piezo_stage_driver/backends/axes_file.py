@@ -19,10 +19,7 @@ def load_axes_file(one: type[One], several: type[Several],
                    path: str | PathLike[str]) -> One | Several:
     """Read a file of one axis, or of several if it has `axes`.
 
-    Raises
-    ------
-    SchemaError
-        If the file cannot be read, or an entry is unknown, missing or impossible.
+    Raises `SchemaError` if it cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
         text = read_bounded_text(path)
@@ -34,13 +31,7 @@ def load_axes_file(one: type[One], several: type[Several],
 
 
 def check_axes(axes: Mapping[str, Part], unique: Collection[str]) -> None:
-    """Check the names of axes, and the entries that must differ between them.
-
-    Raises
-    ------
-    PydanticCustomError
-        For a validator of a document to pass on.
-    """
+    """Raise a violation, in a validator, if axes are named badly or share what each needs alone."""
     for axis in axes:
         if not re.fullmatch("[a-z][a-z0-9]*", axis):
             raise violation(f"has the name {quoted(axis)}", "give short ones such as x", "axes")

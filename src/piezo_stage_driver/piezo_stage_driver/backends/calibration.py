@@ -132,10 +132,7 @@ class AxesCalibration(CardPart, Document):
 def load_calibration(path: str | PathLike[str]) -> Calibration | AxesCalibration:
     """Read a calibration file (YAML) of one axis, or of several if it has `axes`.
 
-    Raises
-    ------
-    CalibrationError
-        If the file cannot be read, or an entry is unknown, missing or impossible.
+    Raises `CalibrationError` if it cannot be read, or an entry is unknown, missing or impossible.
     """
     try:
         return load_axes_file(Calibration, AxesCalibration, path)

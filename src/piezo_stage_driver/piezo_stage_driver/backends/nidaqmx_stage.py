@@ -46,13 +46,7 @@ MEANINGS = {
 
 
 def load_driver() -> SimpleNamespace:
-    """Import the package ``nidaqmx`` and return the parts that are needed.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed.
-    """
+    """Return the parts of the package ``nidaqmx`` that are needed; ValueError if it is missing."""
     try:
         nidaqmx = importlib.import_module("nidaqmx")
         constants, errors, readers, writers = (
@@ -71,12 +65,8 @@ def load_driver() -> SimpleNamespace:
 class NidaqmxStage:
     """Drive the amplifiers and read the sensors of one axis or several through one card.
 
-    All axes are channels of the same two tasks, so they share one sample clock.
-
-    Raises
-    ------
-    ValueError
-        If the driver is missing, or the card cannot reach the voltages.
+    All axes are channels of the same two tasks, so they share one sample clock. Raises ValueError
+    if the driver is missing, or the card cannot reach the voltages.
     """
 
     name = "nidaqmx"
@@ -256,10 +246,7 @@ def _first_line(error: Exception) -> str:
 def create(settings: BackendSettings) -> "NidaqmxStage":
     """Create the backend from its calibration file; the entry point ``nidaqmx``.
 
-    Raises
-    ------
-    ValueError
-        If the file is missing or invalid, or the driver is missing.
+    Raises ValueError if the file is missing or invalid, or the driver is missing.
     """
     if not settings.file:
         raise ValueError("the backend nidaqmx needs a calibration: set the parameter backend_file")

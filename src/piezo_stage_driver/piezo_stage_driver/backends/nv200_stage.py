@@ -57,13 +57,7 @@ class Nv200Settings(Document):
 
 
 def load_library() -> SimpleNamespace:
-    """Import the package ``nv200`` and return the parts that are needed.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed.
-    """
+    """Return the parts of the package ``nv200`` that are needed; ValueError if it is missing."""
     try:
         device, types, connection, generator, recorder = (
             importlib.import_module(f"nv200.{name}")
@@ -195,10 +189,7 @@ class Nv200:
 def create(settings: BackendSettings) -> StoredWaveformStage:
     """Create the backend from its settings; the entry point ``nv200``.
 
-    Raises
-    ------
-    ValueError
-        If the file is missing or invalid, or the library is missing.
+    Raises ValueError if the file is missing or invalid, or the library is missing.
     """
     own = settings_of("nv200", Nv200Settings, Nv200Settings, settings)
     return StoredWaveformStage(

@@ -100,13 +100,7 @@ class PiAxesSettings(PiDocument):
 
 
 def load_library() -> SimpleNamespace:
-    """Import the package ``pipython`` and return the parts that are needed.
-
-    Raises
-    ------
-    ValueError
-        If it is not installed.
-    """
+    """Return the parts of the package ``pipython`` that are needed; ValueError if it is missing."""
     try:
         pipython = importlib.import_module("pipython")
         sockets = importlib.import_module("pipython.pidevice.interfaces.pisocket")
@@ -250,10 +244,7 @@ def _values(by_item: Mapping[Any, float]) -> np.ndarray:
 def create(settings: BackendSettings) -> StoredWaveformStage:
     """Create the backend from its settings; the entry point ``pi_gcs``.
 
-    Raises
-    ------
-    ValueError
-        If the file is missing or invalid, or the library is missing.
+    Raises ValueError if the file is missing or invalid, or the library is missing.
     """
     own = settings_of("pi_gcs", PiSettings, PiAxesSettings, settings)
     return StoredWaveformStage(

@@ -51,12 +51,9 @@ def create_backend(name: str, settings: BackendSettings) -> StageBackend:
 
 
 def check_backend(name: str) -> None:
-    """Raise if no package registers a backend of a name; no backend is loaded.
+    """Raise ValueError, which lists the known names, if no package registers a backend of a name.
 
-    Raises
-    ------
-    ValueError
-        The message lists the available names.
+    No backend is loaded.
     """
     known = registered(GROUP)
     if name not in known:

@@ -50,10 +50,7 @@ class WaveformInstrument(Protocol):
     def open(self, sample_rate_hz: float, samples: int) -> None:
         """Connect, with the servo off, and prepare for waveforms of this length and rate.
 
-        Raises
-        ------
-        ValueError
-            If the instrument does not support them; the message says what it supports.
+        Raises ValueError, which says what the instrument supports, if it does not support them.
         """
 
     def start(self, voltage_v: np.ndarray) -> None:
@@ -84,23 +81,10 @@ class WaveformInstrument(Protocol):
 class StoredWaveformStage:
     """Play whole waveforms through an instrument; see `StageBackend`.
 
-    Parameters
-    ----------
-    longest_program_samples : int
-        Length of the longest waveform including its ramps; rounded down to whole ticks.
-    transfer_s : float
-        Largest time to store a waveform and to read its record (s).
-
-    Attributes
-    ----------
-    longest_program_samples : int
-        The stage node refuses longer waveforms, and everything except a waveform that ends at
-        rest.
-
-    Raises
-    ------
-    ValueError
-        If the longest waveform is shorter than a tick, or longer than the node's time limit.
+    The length of the longest waveform, including its ramps, is rounded down to whole ticks; to
+    store a waveform and to read its record takes `transfer_s` at most. The stage node refuses
+    longer waveforms, and everything except a waveform that ends at rest. Raises ValueError if the
+    longest waveform is shorter than a tick, or longer than the node's time limit.
     """
 
     _planned_v: np.ndarray
@@ -257,17 +241,9 @@ class StoredWaveformStage:
 
 def settings_of(backend: str, one: type[One], several: type[Several],
                 settings: BackendSettings) -> One | Several:
-    """Read the settings file of a backend.
+    """Read the settings file of a backend, a document of one axis or of several.
 
-    Parameters
-    ----------
-    one, several : type
-        Classes of the document for one axis and for several.
-
-    Raises
-    ------
-    ValueError
-        If the file is missing or invalid.
+    Raises ValueError if it is missing or invalid.
     """
     if not settings.file:
         raise ValueError(
@@ -281,10 +257,7 @@ def settings_of(backend: str, one: type[One], several: type[Several],
 def whole_divider(base_rate_hz: float, sample_rate_hz: float, owner: str) -> int:
     """Return the factor by which an instrument divides its clock for a sample rate.
 
-    Raises
-    ------
-    ValueError
-        If it is not a whole number; the message names the nearest possible rates.
+    Raises ValueError, which names the nearest possible rates, if it is not a whole number.
     """
     ratio = base_rate_hz / sample_rate_hz
     divider = max(1, round(ratio))

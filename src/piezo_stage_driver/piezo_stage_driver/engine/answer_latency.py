@@ -9,13 +9,7 @@ BOUNDS_MS = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 class LatencyCounts:
-    """Histogram of durations.
-
-    Attributes
-    ----------
-    counts : list of int
-        Number of durations up to each of ``BOUNDS_MS``, and beyond the last.
-    """
+    """Numbers (`counts`) of durations up to each of `BOUNDS_MS`, and beyond the last."""
 
     def __init__(self) -> None:
         self.counts = [0] * (len(BOUNDS_MS) + 1)
@@ -29,12 +23,7 @@ class LatencyCounts:
     def described(self, counted: str, longest: str) -> dict[str, object]:
         """Return the counts with names such as ``ticks_within_0.5_ms``.
 
-        Parameters
-        ----------
-        counted : str
-            Name of the counted items, such as ``ticks``.
-        longest : str
-            Name of the longest time.
+        The arguments name what is counted, such as ``ticks``, and the longest time.
         """
         names = [f"{counted}_within_{bound:g}_ms" for bound in BOUNDS_MS]
         return dict(zip([*names, f"{counted}_beyond_{BOUNDS_MS[-1]:g}_ms"], self.counts,

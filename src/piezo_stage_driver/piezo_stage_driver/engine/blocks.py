@@ -91,22 +91,12 @@ class BlockCollector:
     def add(self, voltage_v: np.ndarray, displacement_um: np.ndarray, flags: int, ends: bool,
             feedback_v: Volts | None = None,
             detected: Detected = NOTHING_DETECTED) -> "Filled | None":
-        """Add samples, and return a block as soon as one is full.
+        """Add samples, and return a block as soon as one is full, else None.
 
         At the full rate all samples of a block have the same flags: other flags begin a new block.
-
-        Parameters
-        ----------
-        voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
-        ends : bool
-            Whether the samples that follow belong to another block.
-        feedback_v : float or ndarray, shape (axes,), optional
-            Voltage of a feedback on board, if there is one (V).
-
-        Returns
-        -------
-        Filled or None
-            None if the block is not full yet.
+        Voltages and displacements have the shape (n,) or (n, axes), the feedback (V) of a law on
+        board is a number or (axes,). `ends` tells that the samples that follow belong to another
+        block.
         """
         before = None
         if self.decimation == 1 and self.pending_samples and flags != self._flags:

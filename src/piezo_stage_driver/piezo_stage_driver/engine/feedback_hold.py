@@ -13,29 +13,13 @@ class FeedbackError(ValueError):
 
 
 class FeedbackHold:
-    """Feedback voltage of every tick since tracking began.
+    """Feedback voltage (`voltage_v`) of every tick since tracking began in its first tick.
 
-    The block published at the start of tick k is answered during tick k; the answer
-    acts in tick k + 1. If none came in time, the last one is held and counted.
-
-    Answers may come from another thread than the ticks.
-
-    Parameters
-    ----------
-    first_tick : int
-        The tick in which tracking began; the block of the next one is the first
-        that requires an answer.
-    lead_ticks : int
-        Delay of the blocks in ticks, because the hardware is written ahead.
-
-    Attributes
-    ----------
-    voltage_v : float
-        Voltage that acts (V).
-    missed, missed_in_a_row : int
-        Ticks without an answer.
-    limited, limited_in_a_row : int
-        Answers beyond the limits.
+    The block published at the start of tick k is answered during tick k, and the answer acts in
+    tick k + 1; the block of the tick after the first requires the first answer. If none came in
+    time, the last one is held and counted as missed; answers beyond the limits are counted as
+    limited. Blocks come later by a lead, where the hardware is written ahead. Answers may come from
+    another thread than the ticks.
     """
 
     def __init__(self, first_tick: int, lead_ticks: int = 0, limits: FeedbackLimits | None = None):
@@ -61,10 +45,7 @@ class FeedbackHold:
     def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
         """Store the answer to the block of ``tick``; one that comes too late has no effect.
 
-        Raises
-        ------
-        FeedbackError
-            If the voltage is not a finite number, or the block is still to come.
+        Raises `FeedbackError` if the voltage is not a finite number, or the block is still to come.
         """
         if not math.isfinite(voltage_v):
             raise FeedbackError(f"the feedback for tick {tick} is not a finite number: "

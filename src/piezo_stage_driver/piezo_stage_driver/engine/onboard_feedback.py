@@ -17,10 +17,8 @@ from piezo_stage_driver.safety.limits import FeedbackLimits
 class CheckedLaw:
     """A law that was checked for this stage.
 
-    Raises
-    ------
-    FeedbackLawError
-        If the law is invalid, see `check_law`, or may exceed the limits of the stage.
+    Raises `FeedbackLawError` if the law is invalid, see `check_law`, or may exceed the limits of
+    the stage.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, lead_ticks: int,
@@ -45,21 +43,9 @@ class CheckedLaw:
 class OnboardFeedback:
     """Feedback of every tick since tracking began, used instead of a `FeedbackHold`.
 
-    Parameters
-    ----------
-    lead_ticks : int
-        Delay of the measurement in ticks, because the hardware is written ahead.
-
-    Attributes
-    ----------
-    voltage_v : float or ndarray, shape (axes,)
-        Voltage that acts: the mean over the tick (V).
-    missed, missed_in_a_row : int
-        Always 0, as no answers are needed.
-    each_sample : bool
-        Whether the feedback changes within a tick.
-    limited, limited_in_a_row : int
-        Ticks in which the law exceeded the limits.
+    No answers are needed, so none are missed. `limited` counts the ticks in which the law exceeded
+    the limits; `each_sample` is True if the feedback changes within a tick. The measurements come
+    later by the lead, where the hardware is written ahead.
     """
 
     missed = missed_in_a_row = 0
@@ -89,11 +75,8 @@ class OnboardFeedback:
     def replace(self, checked: CheckedLaw) -> None:
         """Switch to another law between two ticks.
 
-        Raises
-        ------
-        FeedbackLawError
-            If the law cannot take over, see `RunningLaw.take_over`, or is of several axes; the
-            present law then continues.
+        Raises `FeedbackLawError` if the law cannot take over, see `RunningLaw.take_over`, or is of
+        several axes; the present law then continues.
         """
         law, present, guard = checked.running(), self._law, self._guard
         if not (isinstance(law, RunningLaw) and isinstance(present, RunningLaw)
@@ -105,13 +88,7 @@ class OnboardFeedback:
         self._law, self.each_sample = law, not law.law.sample.empty
 
     def answer(self, tick: int, voltage_v: float, present_tick: int) -> None:
-        """Refuse an answer.
-
-        Raises
-        ------
-        FeedbackError
-            Always.
-        """
+        """Raise `FeedbackError`, as a law takes no answers."""
         raise FeedbackError("the stage evaluates an uploaded law and takes no answers: "
                             "end the publisher of feedback")
 

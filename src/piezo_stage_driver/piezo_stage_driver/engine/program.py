@@ -26,16 +26,9 @@ class Phase:
 
 
 class Program:
-    """A sequence of phases, and the position in it.
+    """A sequence of phases, and the position in it; phases without samples are omitted.
 
-    Parameters
-    ----------
-    phases : list of Phase
-        Phases; those without samples are omitted.
-    way_back_samples : int
-        Duration of the return to rest after them.
-    hold_at_end : bool
-        Whether to stay at the last voltage instead.
+    It ends with a return to rest, which takes some samples, unless it holds its last voltage.
     """
 
     def __init__(self, phases: Iterable[Phase] = (), way_back_samples: int = 0,

@@ -31,13 +31,8 @@ class Ramps:
               decimation: int = 1) -> Phase:
         """Return a ramp as a phase that ends with a whole tick and a whole published sample.
 
-        Parameters
-        ----------
-        pending : int
-            Samples of the clock that an interrupted program left uncollected; at least one more
-            sample completes them.
-        decimation : int
-            Samples of the clock per published sample.
+        It also completes the samples that an interrupted program left pending, by at least one
+        more. A published sample is the mean of `decimation` samples of the clock.
         """
         samples = max(self.samples(start_v, end_v), pending > 0)
         length = self._ticks.aligned(samples + pending, decimation) - pending

@@ -20,17 +20,8 @@ class RealTime:
 
     All threads of the process get a real-time priority, because each of them holds the interpreter
     or a lock of the middleware at times: if it were preempted, it would block the loop. The
-    priority of the loop is higher by one.
-
-    Parameters
-    ----------
-    priority : int
-        Priority of the loop, 1 to 99; 0 requests nothing, and does not lock the memory.
-
-    Attributes
-    ----------
-    status : str
-        What the system has granted; or what it has refused, and what to do.
+    priority of the loop, 1 to 99, is higher by one; 0 requests nothing, and does not lock the
+    memory. `status` tells what the system has granted; or what it has refused, and what to do.
     """
 
     def __init__(self, priority: int) -> None:

@@ -79,10 +79,6 @@ class StageCommands:
         -------
         first_sample, samples : int
             Position of the waveform on the sample clock, and its length.
-
-        Raises
-        ------
-        LimitError, StageRefusal
         """
         self._require_ready()
         voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
@@ -109,7 +105,7 @@ class StageCommands:
                          append: bool = False, feedforward_id: int = 0,
                          axes: Sequence[str] = (), once_marks: npt.ArrayLike = (),
                          period_marks: npt.ArrayLike = ()) -> int:
-        """Load the feedforward that ``start_tracking`` plays.
+        """Load the feedforward that ``start_tracking`` plays; return its unique number.
 
         Parameters
         ----------
@@ -124,15 +120,6 @@ class StageCommands:
             Names of all axes in the order of the stage, if it has several.
         once_marks, period_marks : array_like of uint8, shape (n,), (m,), optional
             Marks of the samples, see `play`; a stream has none.
-
-        Returns
-        -------
-        int
-            Unique number of the feedforward that is loaded now.
-
-        Raises
-        ------
-        LimitError, StageRefusal
         """
         limits = self._limits
         once_voltage_v = self._by_sample(np.array(once_voltage_v, dtype=float), axes)
@@ -161,12 +148,7 @@ class StageCommands:
         return self._feedforward_id
 
     def checked(self, law: FeedbackLaw) -> CheckedLaw:
-        """Check a feedback law for this stage; callable from any thread, as it exceeds a tick.
-
-        Raises
-        ------
-        FeedbackLawError, StageRefusal
-        """
+        """Check a feedback law for this stage; callable from any thread, as it exceeds a tick."""
         if law.axes != self._engine.axes:
             raise StageRefusal(f"the feedback law is of {_axes_text(law.axes)}, the stage has "
                                f"{_axes_text(self._engine.axes)}: design it for this stage")
@@ -176,16 +158,8 @@ class StageCommands:
     def load_feedback(self, law: CheckedLaw, feedforward_id: int = 0) -> None:
         """Load the law that ``start_tracking`` evaluates together with the loaded feedforward.
 
-        If a law acts at present, the next tick begins with the new one.
-
-        Parameters
-        ----------
-        feedforward_id : int
-            Number of the feedforward that it goes with; 0 for the loaded one.
-
-        Raises
-        ------
-        StageRefusal, FeedbackLawError
+        If a law acts at present, the next tick begins with the new one. A number names the
+        feedforward that it goes with; 0 is the loaded one.
         """
         self._require_not_stopped()
         self._require_loaded(feedforward_id)
@@ -201,12 +175,7 @@ class StageCommands:
 
     def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                     law: FeedbackLaw | None) -> Replacement:
-        """Check the input of `replace_feedforward`; callable from any thread, as it exceeds a tick.
-
-        Raises
-        ------
-        LimitError, FeedbackLawError, StageRefusal
-        """
+        """Check the input of `replace_feedforward`, from any thread, as that exceeds a tick."""
         limits = self._limits
         if not isinstance(limits, VoltageLimits):
             raise StageRefusal("replace_feedforward takes a stage of one axis, this one has "
@@ -221,12 +190,8 @@ class StageCommands:
         """Switch to another feedforward and its law between two ticks; return the first tick.
 
         The law acts from the next tick on, in a state that continues the output of the previous
-        law. The planned voltage is faded over within `FADE_S`.
-
-        Raises
-        ------
-        StageRefusal, FeedbackLawError
-            If the replacement is refused; the present feedforward and law then continue.
+        law. The planned voltage is faded over within `FADE_S`. If the replacement is refused, the
+        present feedforward and law continue.
         """
         self._require_not_stopped()
         engine, present = self._engine, self._feedforward
@@ -266,10 +231,6 @@ class StageCommands:
             Whether to add the output of the loaded law, instead of answers.
         feedforward_id : int
             Number of the feedforward to play; 0 for the loaded one.
-
-        Raises
-        ------
-        LimitError, StageRefusal
         """
         self._require_ready()
         if feedback and self._engine.axes:
@@ -301,17 +262,7 @@ class StageCommands:
         return self._engine.tick
 
     def stop_tracking(self, asked_s: float = math.inf) -> None:
-        """End the tracking.
-
-        Parameters
-        ----------
-        asked_s : float
-            Time of the request by the monotonic clock (s); a run that began later continues.
-
-        Raises
-        ------
-        StageRefusal
-        """
+        """End the tracking, unless it began after the request, at a monotonic time in s."""
         if self._engine.phase_name != "track":
             raise StageRefusal(f"the stage does not track ({self._engine.phase_name})")
         if asked_s < self._begun_s:
@@ -319,17 +270,10 @@ class StageCommands:
         self._engine.return_to_rest()
 
     def reset(self, asked_s: float = math.inf) -> None:
-        """Accept commands again after a stop.
+        """Accept commands again after a stop; for the time of the request see `StopLatch.reset`.
 
-        Parameters
-        ----------
-        asked_s : float
-            Time of the request by the monotonic clock (s), see `StopLatch.reset`.
-
-        Raises
-        ------
-        StageRefusal
-            While the voltage still returns to rest, or if it was stopped after the request.
+        Raises `StageRefusal` while the voltage still returns to rest, or if the stage was stopped
+        after the request.
         """
         engine = self._engine
         if not engine.idle or engine.stop_cause and not engine.has_returned:

@@ -195,13 +195,7 @@ class StageEngine:
     def begin(self, program: Program, client: str = "",
               feedback: FeedbackHold | OnboardFeedback | None = None,
               decimation: int = 1) -> None:
-        """Play a program from the next tick on.
-
-        Parameters
-        ----------
-        decimation : int
-            Samples of the clock per published sample.
-        """
+        """Play a program from the next tick on; `decimation` clock samples give a published one."""
         self.client, self._program, self._feedback = client, program, feedback
         self._blocks.decimation = decimation
         self._guards.begin()
@@ -214,10 +208,7 @@ class StageEngine:
     def answer(self, tick: int, voltage_v: float) -> None:
         """Take the feedback that answers the block of ``tick``.
 
-        Raises
-        ------
-        FeedbackError
-            If it is not finite, or for a future block; it then has no effect.
+        Raises `FeedbackError` if it is not finite, or for a future block; it then has no effect.
         """
         feedback = self._feedback  # another thread may end it meanwhile
         if feedback is not None:
@@ -244,13 +235,7 @@ class StageEngine:
     # Time
 
     def advance(self) -> Block | None:
-        """Play the next samples: one tick, or several of a waveform.
-
-        Returns
-        -------
-        block : Block or None
-            None while no block is full.
-        """
+        """Play the next samples, a tick or several of a waveform; return a block if it is full."""
         if self.holds_block:
             return self._block(self._blocks.flush())
         stopped = bool(self.stop_cause)  # read once: any thread may set it meanwhile

@@ -18,10 +18,8 @@ class Ticks:
     def samples_per_value(self, sample_period_s: float) -> int:
         """Return the number of clock samples for which a value of a waveform is held.
 
-        Raises
-        ------
-        StageRefusal
-            If the period is too short, too long, or no whole multiple of the clock's.
+        Raises `StageRefusal` if the period is too short, too long, or no whole multiple of the
+        clock's.
         """
         if not (math.isfinite(sample_period_s)
                 and self.sample_period_s <= sample_period_s * (1 + 1e-9)

@@ -16,21 +16,10 @@ from piezo_stage_driver.safety.transitions import Event
 
 
 class CommandRouter:
-    """Pass commands and stops on to the supervisor; answer them if there is none yet.
+    """Pass commands and stops on to the `supervisor`; answer them if there is none yet.
 
-    Parameters
-    ----------
-    lockstep : bool
-        Whether commands act between two callbacks, so that the supervisor need not wait for a tick.
-    latch : StopLatch
-        Latch of the stops, which outlive the supervisor.
-    report_stop : callable
-        Called once the stage has been stopped.
-
-    Attributes
-    ----------
-    supervisor : StageSupervisor or None
-        Supervisor of the configured stage.
+    In lockstep, commands act between two callbacks, so that the supervisor need not wait for a
+    tick. The latch of the stops outlives the supervisor; `report_stop` is called after a stop.
     """
 
     def __init__(self, lockstep: bool, latch: StopLatch, report_stop: Callable[[], None]) -> None:
@@ -54,26 +43,14 @@ class CommandRouter:
         return supervisor.engine.seconds_to_rest if supervisor and supervisor.active else 0.0
 
     def checked(self, law: FeedbackLaw) -> CheckedLaw:
-        """Check a feedback law for the configured stage.
-
-        Raises
-        ------
-        FeedbackLawError, StageRefusal
-            If the law must not act, or there is no stage.
-        """
+        """Check a feedback law for the configured stage; see `StageCommands.checked`."""
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
         return self.supervisor.engine.commands.checked(law)
 
     def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
                     law: FeedbackLaw | None) -> Replacement:
-        """Check the replacement of a feedforward and its law within a run.
-
-        Raises
-        ------
-        LimitError, FeedbackLawError, StageRefusal
-            If it must not act, or there is no stage.
-        """
+        """Check a replacement for the configured stage; see `StageCommands.replacement`."""
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
         return self.supervisor.engine.commands.replacement(once_voltage_v, period_voltage_v, law)

@@ -20,13 +20,7 @@ from piezo_models.hysteresis.preisach import PreisachModel
 
 
 def law_of(message: FeedbackLawMessage) -> FeedbackLaw:
-    """Return the law of a message.
-
-    Raises
-    ------
-    FeedbackLawError, ValueError
-        If the parts do not match.
-    """
+    """Return the law of a message; raise ValueError if its parts do not match."""
     inverse, axes = None, len(message.axes)
     if message.inverse_gain_um_per_v:
         inverse = InverseHysteresis(

@@ -19,18 +19,9 @@ class StageLoop:
     """The ticks of one configured stage.
 
     A paced stage ticks in its own thread while it is active. A stage in lockstep ticks in `step`,
-    only while something plays; each tick that needs an answer waits for it.
-
-    Parameters
-    ----------
-    report_stop, settle : callable
-        Called after the ticks, from the ticking thread: to report a stop that has occurred since,
-        and to answer the clients that wait for rest.
-
-    Attributes
-    ----------
-    real_time : RealTime
-        Priority and memory of a paced stage while it is active.
+    only while something plays; each tick that needs an answer waits for it. After the ticks, the
+    ticking thread calls `report_stop`, to report a stop that has occurred since, and `settle`, to
+    answer the clients that wait for rest.
     """
 
     def __init__(self, supervisor: StageSupervisor, backend: StageBackend,
@@ -69,10 +60,7 @@ class StageLoop:
     def step(self) -> float:
         """Advance a stage in lockstep; return how long to wait for the next callback (s).
 
-        Raises
-        ------
-        Exception
-            Any exception that ended the thread of a paced stage.
+        Raises the exception that ended the thread of a paced stage, if there was one.
         """
         if self._failure is not None:
             raise self._failure

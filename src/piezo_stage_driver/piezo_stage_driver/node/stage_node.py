@@ -47,16 +47,7 @@ class StageNode(LifecycleNode):
     With ``timing`` *paced* the backend's clock drives the stage in a thread of its own.
     With *lockstep* stage time passes only while something plays, and each tick that
     needs an answer waits for it; results then do not depend on the machine's speed.
-
-    Parameters
-    ----------
-    create_backend : callable
-        Takes the node and returns a ``StageBackend``; called when the node is configured.
-
-    Attributes
-    ----------
-    settings : StageSettings
-        The node's parameters.
+    When the node is configured, `create_backend` is called with the node.
     """
 
     def __init__(self, create_backend: Callable[[Any], StageBackend]) -> None:

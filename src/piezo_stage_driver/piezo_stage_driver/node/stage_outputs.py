@@ -29,12 +29,7 @@ LONGEST_HOLD_BACK_S = 30.0
 class StageOutputs:
     """Publishers of the samples, the description, the joint state, the clock and the diagnostics.
 
-    Attributes
-    ----------
-    epoch_ns : int
-        ROS time of sample 0.
-    axes, signals : list of str
-        Names of the axes, if there are several, and of the detectors.
+    `epoch_ns` is the ROS time of sample 0; axes are named if there are several.
     """
 
     def __init__(self, node: Node, settings: StageSettings) -> None:
@@ -74,14 +69,9 @@ class StageOutputs:
         return Time(sec=nanoseconds // NANOSECONDS, nanosec=nanoseconds % NANOSECONDS)
 
     def publish_block(self, block: Block, next_sample: int, idle: bool) -> None:
-        """Publish a block, together with the messages that general tools use.
+        """Publish a block, with the messages that general tools use, before a sample of the clock.
 
-        Parameters
-        ----------
-        next_sample : int
-            Next sample of the clock to be played.
-        idle : bool
-            Whether nothing follows at present.
+        `idle` tells that nothing follows at present.
         """
         message = SampleBlock(
             first_sample=block.first_sample, sample_period_s=block.sample_period_s,

@@ -28,10 +28,7 @@ from piezo_stage_driver.safety.transitions import Event
 class StageServices:
     """Serve the requests of clients without blocking the executor.
 
-    Parameters
-    ----------
-    emergency_stop_timeout_s : float
-        Time that a stop may take in addition to the ramp to rest (s).
+    A stop may take `emergency_stop_timeout_s` in addition to the ramp to rest.
     """
 
     def __init__(self, node: Node, router: CommandRouter,

@@ -190,10 +190,8 @@ class StageSettings:
     def create_supervisor(self, backend: StageBackend, latch: StopLatch) -> StageSupervisor:
         """Return the supervisor of a backend.
 
-        Raises
-        ------
-        ValueError
-            If the limits contradict each other, or are of an axis that the backend does not have.
+        Raises ValueError if the limits contradict each other, or are of an axis that the backend
+        does not have.
         """
         self._refuse_limits_of_others(getattr(backend, "axes", ()))
         # In lockstep time stops after the last block, which reports the end.
@@ -235,10 +233,7 @@ class StageSettings:
     def create_engine(self, backend: StageBackend, latch: StopLatch) -> StageEngine:
         """Return an engine that drives the backend within the limits and with all guards.
 
-        Raises
-        ------
-        LimitError
-            If the limits contradict each other.
+        Raises `LimitError` if the limits contradict each other.
         """
         axes: tuple[str, ...] = getattr(backend, "axes", ())
         one, *_ = settings = self.of_axes(axes)

@@ -24,10 +24,7 @@ PROGRESS_PERIOD_S = 0.1
 class WaveformGoal:
     """One goal, from the command until its answer; see ``safety.supervisor.Goal``.
 
-    Parameters
-    ----------
-    answer : callable
-        ``answer(goal, result)``, from any thread.
+    It calls ``answer(goal, result)`` once, from any thread.
     """
 
     def __init__(self, handle: ServerGoalHandle,
@@ -75,13 +72,7 @@ class WaveformGoal:
 
 
 class WaveformGoals:
-    """Serve the action: one goal at a time; others are refused.
-
-    Parameters
-    ----------
-    submit : callable
-        Takes a ``safety.commands.Command``.
-    """
+    """Serve the action: one goal at a time; others are refused. A goal submits one command."""
 
     def __init__(self, node: Node, submit: Callable[[Command], None]) -> None:
         self._node, self._submit = node, submit

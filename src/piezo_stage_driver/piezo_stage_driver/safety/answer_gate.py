@@ -11,21 +11,9 @@ class AnswerGate:
     """Distinguish answers of the client that the stage tracks for from those of others.
 
     Numbering of the runs starts at random, so that an answer to a stage before a restart does not
-    match one of its new runs.
-
-    Parameters
-    ----------
-    max_foreign : int
-        Largest number of foreign answers in a run; more stop the stage.
-
-    Attributes
-    ----------
-    run : int
-        Number of the present run.
-    foreign : int
-        Number of answers of other clients in this run.
-    stale : int
-        Number of answers for earlier runs, which are ignored.
+    match one of its new runs. Of answers to the present `run`, `foreign` counts those of other
+    clients, more than `max_foreign` of which stop the stage; `stale` counts those for earlier runs,
+    which are ignored.
     """
 
     def __init__(self, max_foreign: int = 0):
@@ -50,14 +38,9 @@ class AnswerGate:
         return self.run
 
     def admits(self, run: int, alone: bool) -> bool:
-        """Return whether an answer may act.
+        """Return whether an answer may act, given its run number, 0 if it has none.
 
-        Parameters
-        ----------
-        run : int
-            Run number of the answer; 0 if it has none.
-        alone : bool
-            Whether a single node publishes feedback.
+        `alone` tells that a single node publishes feedback.
         """
         if run == self.run:
             self._numbered = True

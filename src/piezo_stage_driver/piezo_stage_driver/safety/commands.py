@@ -59,15 +59,7 @@ class Command:
 
 
 class CommandQueue:
-    """Commands in the order of their arrival.
-
-    Parameters
-    ----------
-    timeout_s : float
-        A command that has waited longer is refused and never runs (s).
-    clock : callable
-        Returns the time (s).
-    """
+    """Commands in the order of their arrival; one that has waited for too long (s) never runs."""
 
     def __init__(self, timeout_s: float, clock: Callable[[], float]):
         self._timeout_s, self._clock = timeout_s, clock

@@ -48,12 +48,7 @@ class GuardSet:
 
     def examine_samples(self, voltage_v: np.ndarray, displacement_um: np.ndarray,
                         samples_per_tick: int) -> str:
-        """Return what is wrong with samples of whole ticks; empty if nothing is.
-
-        Parameters
-        ----------
-        voltage_v, displacement_um : ndarray, shape (n,) or (n, axes)
-        """
+        """Return what is wrong with samples of whole ticks, (n,) or (n, axes); may be empty."""
         causes = []
         for (axis, guards), of_axis_v, of_axis_um in zip(
                 self._by_axis.items(), columns(voltage_v), columns(displacement_um), strict=True):

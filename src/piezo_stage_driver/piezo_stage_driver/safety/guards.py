@@ -47,18 +47,7 @@ class StopLatch:
             self.cause, self._stopped_s = self.cause or cause, self._clock()
 
     def reset(self, asked_s: float = math.inf) -> None:
-        """Clear the cause.
-
-        Parameters
-        ----------
-        asked_s : float
-            Time of the request (s); a request from before the last stop is refused.
-
-        Raises
-        ------
-        StageRefusal
-            If the request is older than the last stop.
-        """
+        """Clear the cause; raise `StageRefusal` if the request (s) is older than the last stop."""
         with self._lock:
             if self.cause and asked_s < self._stopped_s:
                 raise StageRefusal("the stage was stopped after this was asked for "
@@ -98,10 +87,7 @@ class SensorGuard(Protocol):
 class SensorRange:
     """Detect a reading that is not a number, or outside the range of the sensor.
 
-    Parameters
-    ----------
-    minimum_um, maximum_um : float
-        Range that the stage can reach, with a margin.
+    The range is that which the stage can reach, with a margin.
     """
 
     def __init__(self, minimum_um: float, maximum_um: float):
@@ -131,14 +117,9 @@ class SensorRange:
 class SensorResponse:
     """Detect a reading that does not change when the voltage does.
 
-    Changes are compared from tick to tick, as a stage need not follow faster ones.
-
-    Parameters
-    ----------
-    voltage_v : float
-        Change of the voltage that must move the stage; larger than its backlash.
-    displacement_um : float
-        Change of the reading that counts as a response; larger than its noise.
+    Changes are compared from tick to tick, as a stage need not follow faster ones. The change of
+    the voltage that must move the stage is larger than its backlash, that of the reading which
+    counts as a response larger than its noise.
     """
 
     def __init__(self, voltage_v: float = 20.0, displacement_um: float = 0.4):
@@ -211,12 +192,8 @@ class FeedbackOscillation:
     An unstable loop oscillates with a half period of a few ticks. Each swing is larger than all
     before, either by a little, or several times as large twice in a row. Swings that are as slow as
     most references, keep their size, or are large from the beginning are accepted. A reference of
-    many fast tones that only feedback follows may be mistaken for growth.
-
-    Parameters
-    ----------
-    limit_v : float
-        Peak-to-peak swing above which a growing oscillation stops the stage (V).
+    many fast tones that only feedback follows may be mistaken for growth. A growing oscillation
+    stops the stage once its swing exceeds the limit, from peak to peak.
     """
 
     LONGEST_HALF_PERIOD_TICKS = 8

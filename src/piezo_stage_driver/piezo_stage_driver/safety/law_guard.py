@@ -18,12 +18,8 @@ class LawGuard:
     """Compare a stage with the model that a law declares, then watch the error of the law.
 
     Before the feedback begins, the stage is moved by its feedforward, which reveals its gain. A law
-    that was designed for another gain is stopped before it acts.
-
-    Parameters
-    ----------
-    axis : int
-        Column of the axis that is watched, if the law has several.
+    that was designed for another gain is stopped before it acts. Of a law of several axes, one is
+    watched.
     """
 
     def __init__(self, law: FeedbackLaw, axis: int = 0) -> None:

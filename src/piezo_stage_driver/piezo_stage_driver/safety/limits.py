@@ -64,12 +64,7 @@ class VoltageLimits:
                              "let minimum_voltage_v be below maximum_voltage_v")
 
     def check_rest(self, rest_voltage_v: float) -> None:
-        """Raise if a rest voltage is outside the range.
-
-        Raises
-        ------
-        LimitError
-        """
+        """Raise `LimitError` if a rest voltage is outside the range."""
         if not self.minimum_v <= rest_voltage_v <= self.maximum_v:
             raise LimitError(f"the rest voltage is {rest_voltage_v:g} V, outside "
                              f"[{self.minimum_v:g}, {self.maximum_v:g}] V: "
@@ -77,20 +72,10 @@ class VoltageLimits:
 
     def check(self, voltage_v: npt.ArrayLike, sample_period_s: float,
               previous_v: float | None = None) -> None:
-        """Raise if a voltage sequence leaves the range or jumps.
+        """Raise `LimitError` for the first sample, (n,), that leaves the range or jumps.
 
-        Parameters
-        ----------
-        voltage_v : ndarray, shape (n,)
-        sample_period_s : float
-            Period of the sample clock (s); a change takes place within one sample.
-        previous_v : float, optional
-            Voltage before the first sample.
-
-        Raises
-        ------
-        LimitError
-            The message names the first invalid sample.
+        A change takes place within one sample period (s); the first sample may follow a previous
+        voltage.
         """
         voltage_v = np.asarray(voltage_v, dtype=float)
         if voltage_v.size == 0:
@@ -114,12 +99,7 @@ class VoltageLimits:
                 f"{largest_step_v:.4g} V that the slew limit allows: make the change slower")
 
     def check_start(self, voltage_v: float, present_v: float, largest_step_v: float) -> None:
-        """Raise if the stage would have to jump to a first voltage.
-
-        Raises
-        ------
-        LimitError
-        """
+        """Raise `LimitError` if the stage would have to jump to a first voltage."""
         if abs(voltage_v - present_v) > largest_step_v:
             raise LimitError(
                 f"the voltage jumps by {abs(voltage_v - present_v):.4g} V to sample 0, more than "
@@ -128,19 +108,10 @@ class VoltageLimits:
 
     def apply(self, voltage_v: np.ndarray, previous_v: float,
               sample_period_s: float) -> tuple[np.ndarray, int]:
-        """Hold a voltage within the limits; NaN is replaced by the voltage before it.
+        """Hold voltages, (n,), within the limits; NaN is replaced by the voltage before it.
 
-        Parameters
-        ----------
-        voltage_v : ndarray, shape (n,)
-        previous_v : float
-            Voltage before the first sample.
-
-        Returns
-        -------
-        limited_v : ndarray, shape (n,)
-        flags : int
-            ``FLAG_RANGE_LIMITED`` and ``FLAG_SLEW_LIMITED`` if they took effect.
+        The first sample follows a previous voltage. Also returned are ``FLAG_RANGE_LIMITED`` and
+        ``FLAG_SLEW_LIMITED`` if they took effect.
         """
         return hold_within(np.asarray(voltage_v, dtype=float), previous_v, self.minimum_v,
                            self.maximum_v, self.slew_v_per_s * sample_period_s * (1 + 1e-9))
@@ -216,12 +187,9 @@ class FeedbackLimits:
     """Largest number of consecutive limited answers; more stop the stage."""
 
     def apply(self, voltage_v: float, previous_v: float) -> tuple[float, bool]:
-        """Return the feedback that an answer may cause, and whether it was limited.
+        """Return the feedback (V) that an answer may cause, and whether it was limited.
 
-        Parameters
-        ----------
-        voltage_v, previous_v : float
-            The answer, and the feedback that acts at present (V).
+        The previous feedback is that which acts at present.
         """
         if not abs(voltage_v) <= self.maximum_v:
             return previous_v, True

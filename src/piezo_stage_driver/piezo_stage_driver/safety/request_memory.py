@@ -24,10 +24,7 @@ class RequestMemory:
     def repeats(self, number: int, late: Late) -> bool:
         """Return whether a request is a repetition; it then gets the answer of the first.
 
-        Parameters
-        ----------
-        number : int
-            Number that the client gave the request; 0 if it gave none.
+        The number is that which the client gave the request; 0 if it gave none.
         """
         if number == WITHOUT_NUMBER:
             return False

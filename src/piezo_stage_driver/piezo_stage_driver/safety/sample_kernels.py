@@ -15,20 +15,9 @@ FLAG_SLEW_LIMITED = 2
 @njit(cache=True)
 def hold_within(wanted_v: FloatArray, previous_v: float, minimum_v: float, maximum_v: float,
                 step_v: float) -> tuple[FloatArray, int]:
-    """Hold voltages within a range and a slew; NaN is replaced by the voltage before it.
+    """Hold voltages within a range and a slew, the largest change from sample to sample.
 
-    Parameters
-    ----------
-    wanted_v : ndarray, shape (n,)
-    previous_v : float
-        Voltage before the first sample.
-    step_v : float
-        Largest change from sample to sample.
-
-    Returns
-    -------
-    limited_v : ndarray, shape (n,)
-    flags : int
+    NaN is replaced by the voltage before it. Returned are the voltages, (n,), and the flags.
     """
     limited_v = np.empty(wanted_v.size)
     flags, number_v, last_v, steep = 0, previous_v, previous_v, False

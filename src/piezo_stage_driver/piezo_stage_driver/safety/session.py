@@ -64,12 +64,8 @@ class BackendSession:
     def exchange(self, voltage_v: np.ndarray) -> np.ndarray:
         """Play samples; see ``StageBackend.exchange``.
 
-        Raises
-        ------
-        BackendFault
-            If the backend raises anything. It is closed then.
-        SessionOver
-            If the session was given up; the backend is closed as soon as it returns.
+        Raises `BackendFault` if the backend raises anything, and closes it; `SessionOver` if the
+        session was given up, and the backend is closed as soon as it returns.
         """
         with self._lock:
             if self._over:

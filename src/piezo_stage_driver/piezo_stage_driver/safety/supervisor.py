@@ -126,13 +126,7 @@ class StageSupervisor:
     # Lifecycle
 
     def activate(self) -> None:
-        """Open the backend; a latched stop persists.
-
-        Raises
-        ------
-        ValueError, OSError, BackendFault
-            If the backend cannot be opened.
-        """
+        """Open the backend; a latched stop persists. Raises as `StageBackend.open`."""
         if self._session.busy:
             raise ValueError("the backend has not returned from its last call: cut the "
                              "amplifier's supply, then start the node again")
@@ -156,13 +150,7 @@ class StageSupervisor:
         self._commands.drain(NOT_ACTIVE)
 
     def give_up(self, cause: str, at_rest: bool = False) -> None:
-        """Block all further calls of a hanging backend, whenever it returns.
-
-        Parameters
-        ----------
-        at_rest : bool
-            Whether the backend's own return to rest has succeeded.
-        """
+        """Block all further calls of a hanging backend, which itself may have come to rest."""
         self._session.give_up()
         self._fail(Event.GIVE_UP, cause, at_rest)
 
@@ -195,19 +183,10 @@ class StageSupervisor:
         self._commands.drain(f"the stage is stopped ({self.cause}): reset it first")
 
     def answer(self, tick: int, voltage_v: float, run: int, alone: Callable[[], bool]) -> None:
-        """Take the feedback that answers the block of ``tick``.
+        """Take the feedback that answers the block of ``tick`` in a run; 0 if it has no run number.
 
-        Parameters
-        ----------
-        run : int
-            Number of the run that the answer is for; 0 if it has none.
-        alone : callable
-            Returns whether a single node publishes feedback.
-
-        Raises
-        ------
-        FeedbackError
-            If the answer may not act; too many of these stop the stage.
+        `alone` returns whether a single node publishes feedback. Raises `FeedbackError` if the
+        answer may not act; too many of these stop the stage.
         """
         if self._state is not State.TRACKING:
             return
@@ -231,18 +210,10 @@ class StageSupervisor:
     # Time
 
     def tick(self, whole_block: bool = False) -> Block | None:
-        """Run the waiting commands, and play the next samples.
+        """Run the waiting commands, and play the next samples; return a block once it is full.
 
-        Parameters
-        ----------
-        whole_block : bool
-            Play on until a block is full, if no answer is needed; for callers without commands
-            meanwhile.
-
-        Returns
-        -------
-        block : Block or None
-            None if the block is not full yet, and after a fault.
+        Callers without commands meanwhile play on until a whole block is full, if no answer is
+        needed. No block is returned after a fault.
         """
         self.attend()
         if not self._prepare():
