@@ -159,17 +159,11 @@ def _kept(time_constant_s: float, sample_period_s: float) -> float:
 
 def _followed_v(voltage_v: FloatArray, kept: float, behind: float,
                 periodic: bool) -> FloatArray:
-    """Return a voltage behind a lag of first order, at the ends of the samples.
+    """Return a voltage, (N,), behind a lag of first order, at the ends of the samples.
 
-    Parameters
-    ----------
-    voltage_v : (N,) array
-    kept : float
-        Part that is kept over a sample.
-    behind : float
-        Weight of the sample before: 0 for a voltage that is held.
-    periodic : bool
-        True if the voltage has been repeated before; else the lag has settled at its beginning.
+    The lag keeps a part of its output over a sample. The weight of the sample before is 0 for a
+    voltage that is held. If the voltage was not repeated before, the lag has settled at its
+    beginning.
     """
     follows, last_v = [1.0 - kept - behind, behind], voltage_v[-1 if periodic else 0]
     settled_v = last_v

@@ -43,18 +43,10 @@ def swing(loads: FloatArray, state: FloatArray, centre: float, half_range: float
           parts: FloatArray, damping_ratio: float, step_rad: float, substeps: int) -> FloatArray:
     """Return the displacement of the mode with its hysteretic spring (um); overwrite the state.
 
-    Parameters
-    ----------
-    loads : (N,) array
-        Displacement in um without the force.
-    state : (NEW_STATE,) array
-        Zeros at first, except the three loads, which are the level at rest.
-    centre, half_range : float
-        Centre and half width of the range in um.
-    parts : (6,) array
-        Parameters linear, viscous, stiffness, beta, gamma, exponent.
-    step_rad, substeps : float, int
-        Angle in rad by which the mode turns in a step, and steps in a sample period.
+    The loads, (N,), are the displacement in um without the force. The state, (NEW_STATE,), is zero
+    at first, except the three loads, which are the level at rest. The parts, (6,), are linear,
+    viscous, stiffness, beta, gamma and exponent. In each step, of which a sample period has some,
+    the mode turns by an angle in rad.
     """
     linear, viscous = parts[0], parts[1]
     stiffness, beta, gamma, exponent = parts[2], parts[3], parts[4], parts[5]

@@ -358,15 +358,8 @@ def fitted_values(effect: Effect, extent: Extent | None = None,
                   ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the numbers that a fit may change, as logarithms where the parameter is so fitted.
 
-    Parameters
-    ----------
-    extent : Extent, optional
-        Extent of the recordings, which bound the parameters by `Effect.bounds`.
-
-    Returns
-    -------
-    values, low, high : (n,) arrays
-        Values, each within its bounds.
+    They are followed by their bounds, all (n,), which the extent of the recordings narrows; see
+    `Effect.bounds`. Each value is within its bounds.
     """
     closer = {} if extent is None else effect.bounds(extent)
     values, lows, highs = ([np.zeros(0)] for _ in range(3))

@@ -16,16 +16,10 @@ FAR_APART = 0.1
 
 def filtered(numerator: Sequence[float], denominator: Sequence[float], signal: FloatArray,
              sample_period_s: float, rest: float | None = None) -> FloatArray:
-    """Filter a signal, (N,), by a continuous transfer function, from rest.
+    """Filter a signal, (N,), by a continuous transfer function, from rest at its first value.
 
-    Parameters
-    ----------
-    numerator, denominator : sequence of float
-        Coefficients of the powers of s, the highest first.
-    signal : (N,) array
-        Signal, taken as straight between samples.
-    rest : float, optional
-        Level at which the signal has rested before; its first value by default.
+    The coefficients are those of the powers of s, the highest first. The signal is taken as
+    straight between samples; it may have rested at another level before.
     """
     return _from_rest(numerator, denominator, signal, sample_period_s, rest)[0]
 

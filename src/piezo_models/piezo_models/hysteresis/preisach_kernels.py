@@ -20,17 +20,12 @@ Past = tuple[FloatArray, FloatArray, FloatArray, int]
 def everett_table(density: FloatArray, reversible: FloatArray, cell_width: float) -> Table:
     """Return tables that give the Everett function inside any cell in closed form.
 
-    Returns
-    -------
-    columns, rows : (L + 1, L + 1) array
-        The Everett function at pairs of levels. `columns[j, i]` is `rows[i, j]`, that of level i
-        over level j. On a branch one level is fixed, so its values are adjacent in one of them.
-        Between the levels, off the diagonal, the function is bilinear minus x (1 - x) times the
-        triangle of each of its two voltages, where x is the position of the voltage in its cell.
-    diagonal : (L,) array
-        Integrals of the triangles on the diagonal.
-    reversible : (L,) array
-        Integrals along the cells of the diagonal.
+    The columns and the rows, (L + 1, L + 1), hold it at pairs of levels: `columns[j, i]` is
+    `rows[i, j]`, that of level i over level j. On a branch one level is fixed, so its values are
+    adjacent in one of them. Between the levels, off the diagonal, the function is bilinear minus x
+    (1 - x) times the triangle of each of its two voltages, where x is the position of the voltage
+    in its cell. The third table, (L,), holds the integrals of the triangles on the diagonal, the
+    last, (L,), those of the reversible part along its cells.
     """
     diagonal = np.diagonal(density) * cell_width**2 / 2
     reversible = reversible * cell_width
@@ -245,20 +240,10 @@ def simulate_while_room(voltage_v: FloatArray, output_um: FloatArray, n: int,
 @njit(cache=True, nogil=True)
 def simulate(voltage_v: FloatArray, extremes: FloatArray, outputs: FloatArray, top: int,
              grid: Grid, table: Table) -> Past:
-    """Return the hysteresis output for voltages that continue a stored past.
+    """Return the hysteresis output (um) for voltages, (N,), that continue a stored past.
 
-    Parameters
-    ----------
-    voltage_v : (N,) array
-    extremes, outputs : array
-        Stacks of the memory; changed in place, and replaced by longer ones if they are full.
-
-    Returns
-    -------
-    (N,) array
-        Output in um.
-    extremes, outputs : array
-    top : int
+    It is followed by the stacks of the memory, which are changed in place, or replaced by longer
+    ones if they are full, and by their top.
     """
     output = np.empty(voltage_v.size)
     n, top = simulate_while_room(voltage_v, output, 0, extremes, outputs, top, grid, table)
