@@ -29,24 +29,9 @@ class DataRoot:
     """The folder in which a node reads and writes the files of its requests.
 
     Any client of a node can name its files. They must lie in this folder, even through ``..``,
-    absolute paths or symbolic links.
-
-    Parameters
-    ----------
-    folder : path-like
-        Must exist; a relative one starts at the working directory, ``~`` is the home directory.
-    node_name : str
-        Name of the node for error messages.
-
-    Attributes
-    ----------
-    folder : Path
-        Absolute path with all symbolic links resolved.
-
-    Raises
-    ------
-    DataRootError
-        If the folder does not exist.
+    absolute paths or symbolic links. A relative folder starts at the working directory, ``~`` is
+    the home directory; `folder` is absolute, with all symbolic links resolved. Raises
+    `DataRootError`, which names the node, if the folder does not exist.
     """
 
     def __init__(self, folder: str | os.PathLike, node_name: str) -> None:

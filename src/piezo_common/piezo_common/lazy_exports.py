@@ -11,20 +11,11 @@ from typing import Any
 
 def lazy_exports(package: str, source: str,
                  ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Return the functions ``__getattr__`` and ``__dir__`` of a package.
+    """Return the functions ``__getattr__`` and ``__dir__`` of a package, from its name and file.
 
-    A command that needs one name of a package then does not load the libraries of all others.
-
-    Parameters
-    ----------
-    package, source : str
-        ``__name__`` and ``__file__`` of the package. Its source imports each name from its module
-        under its one ``if``, for type checkers only.
-
-    Returns
-    -------
-    getter, lister : callable
-        Functions for the names ``__getattr__`` and ``__dir__`` in the package.
+    A command that needs one name of a package then does not load the libraries of all others. The
+    source of the package imports each name from its module under its one ``if``, for type checkers
+    only.
     """
     tree = ast.parse(Path(source).read_text(encoding="utf-8"))
     homes = {alias.name: str(node.module) for block in tree.body if isinstance(block, ast.If)

@@ -18,14 +18,8 @@ def open_regular(path: str | PathLike[str], largest_bytes: int) -> FileIO:
     """Open a regular file of a bounded size for reading, without a buffer.
 
     Pipes, which would block, and devices, which may have no end, are rejected. A read returns the
-    available data at once, so that reading a slow file can be stopped.
-
-    Raises
-    ------
-    UnreadableFile
-        If the file is not regular, or is too large.
-    OSError
-        If it cannot be opened.
+    available data at once, so that reading a slow file can be stopped. Raises `UnreadableFile` if
+    the file is not regular, or is too large, and OSError if it cannot be opened.
     """
     _check(os.stat(path), largest_bytes)
     stream = open(path, "rb", buffering=0, opener=_without_waiting)

@@ -106,15 +106,10 @@ def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kin
     kind : str
         Name of such files in messages.
     error : type
-        Raised instead of the errors below, with the path, the cause, and what to do.
+        Raised, with the path, the cause, and what to do, if a file of another format is in its
+        place, a value is not finite, or the file cannot be written.
     rendered : callable
         Returns the text of the document.
-
-    Raises
-    ------
-    ValueError
-        If a file of another format is in its place, a value is not finite, or the file cannot be
-        written.
     """
     check_may_replace(path, document["format"], kind, error, largest_bytes)
     try:

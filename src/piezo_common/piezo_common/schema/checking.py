@@ -24,15 +24,7 @@ P = TypeVar("P", bound=Part)
 
 
 class SchemaError(ValueError):
-    """Content does not fit its schema.
-
-    Attributes
-    ----------
-    problem : str
-        Field, and what was found there.
-    cure : str
-        Remedy.
-    """
+    """Content that does not fit its schema: the `problem`, with its field, and the `cure`."""
 
     def __init__(self, problem: str, cure: str) -> None:
         super().__init__(f"{problem}; {cure}")
@@ -42,14 +34,9 @@ class SchemaError(ValueError):
 def check(kind: type[P], content: object, where: str = "", renew: str = "correct the file") -> P:
     """Check content, as a parser of JSON or YAML returns it, against a class of parts.
 
-    Raises `SchemaError` if a field is missing, unknown, of a wrong type or out of range.
-
-    Parameters
-    ----------
-    where : str
-        Path of the content in its file; empty for the whole.
-    renew : str
-        Remedy for a missing or unknown field.
+    Raises `SchemaError` if a field is missing, unknown, of a wrong type or out of range. The
+    content is at a path in its file, empty for the whole; `renew` is the remedy for a missing or
+    unknown field.
     """
     try:
         return kind.model_validate(content)

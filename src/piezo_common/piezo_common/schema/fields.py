@@ -45,27 +45,15 @@ else:
 def violation(problem: str, cure: str, field: str = "") -> PydanticCustomError:
     """Return the error that a validator of a part raises for contradicting fields.
 
-    Parameters
-    ----------
-    problem, cure : str
-        Problem, as the end of a sentence that begins with the field; remedy.
-    field : str
-        Path in the part; empty for the whole part.
+    The problem is the end of a sentence that begins with the path of the field in the part, which
+    is empty for the whole part; the cure is the remedy.
     """
     return PydanticCustomError(VIOLATION, "{problem}", {
         "problem": problem, "cure": cure, "field": field})
 
 
 def require_matrices(part: BaseModel, shapes: Mapping[str, tuple[int, int]], cure: str) -> None:
-    """Raise a violation unless fields hold matrices of these numbers of rows and columns.
-
-    Parameters
-    ----------
-    shapes : dict of str to (int, int)
-        Rows and columns by the name of the field.
-    cure : str
-        See `violation`.
-    """
+    """Raise a violation unless fields hold matrices of these rows and columns, by field."""
     for name, (rows, columns) in shapes.items():
         matrix = getattr(part, name)
         if len(matrix) != rows or any(len(row) != columns for row in matrix):
@@ -119,18 +107,9 @@ def entry(meaning: str, *, unit: str = "", default: Any = ..., above: float | No
           longest: int | None = None) -> Any:
     """Declare a field of a part with its meaning, unit and range.
 
-    Parameters
-    ----------
-    meaning : str
-        Description for the table of fields in the documentation.
-    unit : str
-        Unit of the number, or of each number of a list.
-    default : object, optional
-        Default value, which makes the field optional.
-    above, at_least, at_most, below : float, optional
-        Range of the number.
-    shortest, longest : int, optional
-        Range of the length of the list.
+    The meaning is for the table of fields in the documentation. The unit and the range are those of
+    the number, or of each number of a list, whose length has a range as well. A default makes the
+    field optional.
     """
     return Field(default, description=meaning, json_schema_extra={"unit": unit}, gt=above,
                  ge=at_least, le=at_most, lt=below, min_length=shortest, max_length=longest)

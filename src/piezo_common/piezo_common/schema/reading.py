@@ -15,24 +15,9 @@ D = TypeVar("D", bound=Document)
 
 def load_document(kind: type[D], path: str | PathLike[str],
                   largest_bytes: int = LARGEST_BYTES) -> D:
-    """Read and check a file.
+    """Read a file of bounded size, and check it against a class of documents.
 
-    Parameters
-    ----------
-    kind : type
-        Class of documents.
-    largest_bytes : int
-        Size limit of the file.
-
-    Returns
-    -------
-    Document
-        Instance of `kind`.
-
-    Raises
-    ------
-    SchemaError
-        If the file cannot be read, has another format or version, or does not fit the schema.
+    Raises `SchemaError` if it cannot be read, has another format or version, or does not fit.
     """
     try:
         text = read_bounded_text(path, largest_bytes)
