@@ -66,15 +66,9 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
                         acts_late: bool = False) -> Service:
     """Create a service whose callback may respond after it returns.
 
-    A request that comes too late is rejected and logged. The response must have ``success`` and
-    ``message``.
-
-    Parameters
-    ----------
-    callback : callable
-        Called as ``callback(request, late)`` with a `LateResponse`, whose `give` must be called.
-    acts_late : bool
-        True to let the callback decide about a request that comes too late.
+    The callback is called as ``callback(request, late)`` with a `LateResponse`, whose `give` must
+    be called. The response must have ``success`` and ``message``. A request that comes too late is
+    rejected and logged, unless the callback acts late: it then decides itself.
     """
     service = node.create_service(
         service_type, name, lambda request, response: (request, LateResponse(node, response)))

@@ -106,14 +106,8 @@ class _Process:
 def end_of_participant(prefix: bytes) -> bytes:
     """Return the message by which a participant would leave: the last one of its announcements.
 
-    Parameters
-    ----------
-    prefix : bytes
-        The 12 bytes which begin every identifier (GUID) of the participant.
-
-    References
-    ----------
-    DDSI-RTPS 2.5, 8.3.8.2 (Data), 8.5.3 (participant discovery) and 9.6.4.9 (status).
+    The prefix is the 12 bytes which begin every identifier (GUID) of the participant; see DDSI-RTPS
+    2.5, 8.3.8.2 (Data), 8.5.3 (participant discovery) and 9.6.4.9 (status).
     """
     participant, reader, writer = b"\0\0\1\xc1", b"\0\1\0\xc7", b"\0\1\0\xc2"
     key = struct.pack("<HH", 0x70, 16) + prefix + participant

@@ -43,12 +43,8 @@ class Ending:
     """Whether the node must end: on SIGINT or SIGTERM, or because other nodes no longer see it.
 
     Others give up a process that is suspended, for example by Ctrl-Z, and the middleware does not
-    announce it to them again: when it continues, it hears them, but they do not hear it.
-
-    Attributes
-    ----------
-    stood_still_s : float
-        Time in s for which the process was suspended; 0 unless that is why it ends.
+    announce it to them again: when it continues, it hears them, but they do not hear it. It then
+    stood still for `stood_still_s`, which is 0 in all other cases.
     """
 
     def __init__(self) -> None:

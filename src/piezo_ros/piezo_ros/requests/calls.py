@@ -98,16 +98,9 @@ def call_service(node: Node, client: Client, request: Message, timeout_s: float 
     """Call a service whose response has ``success`` and ``message``; times are in s.
 
     A request is repeated if no response comes and `may_be_repeated` allows it. If it has a field
-    for a deadline, it does not act after its client has stopped waiting.
-
-    Raises
-    ------
-    CallFailed
-        If there is no server, or if its node or this one ends meanwhile.
-    Refused
-        If the response reports a failure.
-    NoAnswer
-        If no response comes.
+    for a deadline, it does not act after its client has stopped waiting. Raises `CallFailed` if
+    there is no server, or if its node or this one ends meanwhile, `Refused` if the response reports
+    a failure, and `NoAnswer` if no response comes.
     """
     repeatable = may_be_repeated(request)
     _await_service(node, client.wait_for_service, client.srv_name, appearance_s)

@@ -26,20 +26,10 @@ STOP_APPEARANCE_S = 1.0
 class RunRecording:
     """The recording of one run; a context manager that closes it when the run is over.
 
-    A run ends if its recording ends early, unless it may continue unrecorded.
-
-    Parameters
-    ----------
-    unrecorded : bool
-        True if the run may continue after its recording has ended.
-    stop : callable, optional
-        Closes the recording: called with the last sample that it must contain; returns the
-        recorder's response. Without it, the client that started the recording must close it.
-
-    Attributes
-    ----------
-    last_sample : int
-        Last sample of the run, once it is over; with 0 the recording is closed as it is.
+    A run ends if its recording ends early, unless it may continue unrecorded. `stop` closes the
+    recording: it is called with the last sample that it must contain, `last_sample`, or 0 to close
+    it as it is, and returns the recorder's response. Without it, the client that started the
+    recording must close it.
     """
 
     def __init__(self, path: str, recorder: Presence, unrecorded: bool,

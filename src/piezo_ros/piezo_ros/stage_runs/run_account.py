@@ -15,14 +15,8 @@ MAX_LIMITED_PERCENT = 1.0
 class RunAccount:
     """Count the ticks of one run in which the stage deviated from what was requested.
 
-    Parameters
-    ----------
-    max_late_percent, max_limited_percent : float
-        Share of the blocks in percent above which the run fails.
-    answered : bool
-        True if responses act.
-    streamed : bool
-        True if the feedforward is streamed: the stage must then never hold its last voltage.
+    The run fails if more than some percent of the blocks are late, or limited. Where responses do
+    not act, none are late. A streamed feedforward must never let the stage hold its last voltage.
     """
 
     def __init__(self, max_late_percent: float = MAX_LATE_PERCENT,

@@ -19,15 +19,8 @@ class Stream:
 
     Without a response a stage in lockstep waits, so that its motion does not depend on the
     computing time of the next chunk. A paced stage would miss the responses, and counts them.
-
-    Parameters
-    ----------
-    loaded_samples : int
-        Samples loaded before the first chunk.
-    append : callable
-        Loads a chunk after what is loaded.
-    answer : callable
-        Sends a response to the stage: ``answer(tick, voltage_v)``.
+    `append` loads a chunk after those samples that are loaded already; ``answer(tick, voltage_v)``
+    sends a response to the stage.
     """
 
     def __init__(self, more: More, loaded_samples: int, append: Callable[[FloatArray], None],
