@@ -50,22 +50,14 @@ def invert_path(position_um: FloatArray, model: CoupledModel, inverse: str = "co
                 gain_limit: float = GAIN_LIMIT) -> Inverted:
     """Return the voltages, held between samples, whose steady displacement is a periodic path.
 
-    Each line of the path's spectrum is divided by the response of the sampled model at the
-    amplitude of the voltages: exactly, up to a limit of the gain. Beyond it, the response relative
-    to that at rest has a singular value below ``1 / gain_limit``, and the path is followed in
-    proportion, without a shift of phase.
+    The path has the shape (N, n), with all axes of the model. Each line of the path's spectrum is
+    divided by the response of the sampled model at the amplitude of the voltages: exactly, up to a
+    limit of the gain. Beyond it, the response relative to that at rest has a singular value below
+    ``1 / gain_limit``, and the path is followed in proportion, without a shift of phase. Of
+    `INVERSES`, none takes the voltage as the drive, hysteresis and creep or not.
 
-    Parameters
-    ----------
-    position_um : (N, n) array
-        One period, of all axes of the model.
-    inverse : str
-        One of `INVERSES`. With none, the voltage is the drive, hysteresis and creep or not.
-
-    Raises
-    ------
-    ValueError
-        If the axes of the model cannot be distinguished at rest, or a hysteresis has no inverse.
+    Raises ValueError if the axes of the model cannot be distinguished at rest, or a hysteresis has
+    no inverse.
     """
     found = _inverted(position_um - model.operating_displacement_um, model, inverse, gain_limit,
                       None)

@@ -25,16 +25,8 @@ def lead_samples(position_um: FloatArray, marks: NDArray[np.integer],
                  delay_samples: FloatArray) -> int:
     """Return by how many samples an axis passes a place before its sensor shows it.
 
-    Each axis counts by its squared speed at the marks.
-
-    Parameters
-    ----------
-    position_um : (N, n) array
-        One period of the readings.
-    marks : (N,) array
-        Bits of `Mark`.
-    delay_samples : (n,) array
-        By how much the reading of each axis is late.
+    The readings of one period, (N, n), have marks, (N,), and are late by a delay of each axis,
+    (n,). Each axis counts by its squared speed at the marks.
     """
     speed = np.gradient(position_um, axis=0)[marks > 0] ** 2
     return round(np.sum(speed @ delay_samples) / max(np.sum(speed), np.finfo(float).tiny))

@@ -39,14 +39,11 @@ SLEW_LIMIT_V_PER_S = 2e6
 
 
 class UnreachablePath(UnreachableReference):
-    """A path that voltage range or slew limit do not allow.
+    """A path that voltage range or slew limit do not allow, with what is in reach.
 
-    Attributes
-    ----------
-    reachable_size_um : (m,) array
-        Largest size in reach at this rate; zeros where the centre is out of reach.
-    reachable_rate_hz : float
-        Largest rate in reach that was found at this size; 0 where there is none.
+    `reachable_size_um`, (m,), is the largest size in reach at this rate, with zeros where the
+    centre is out of reach; `reachable_rate_hz` the largest rate in reach that was found at this
+    size, 0 where there is none.
     """
 
     def __init__(self, message: str, reachable_size_um: FloatArray,

@@ -146,15 +146,9 @@ def joined(begins: FloatArray, ends: FloatArray, begin_at: FloatArray, end_at: F
            period: float, stop: float = 0.0) -> BPoly:
     """Join straight runs at constant speed by quintics of minimum jerk, periodically.
 
-    Parameters
-    ----------
-    begins, ends : (K, m) array
-        Positions.
-    begin_at, end_at : (K,) array
-        Times, which rise from 0 to the period, after which the first run begins again.
-    stop : float
-        If positive, the time in which the last run comes to rest before the way back, and the first
-        one sets out after it.
+    The runs have positions, (K, m), and times, (K,), which rise from 0 to the period, after which
+    the first run begins again. If `stop` is positive, it is the time in which the last run comes to
+    rest before the way back, and the first one sets out after it.
     """
     speed = (ends - begins) / (end_at - begin_at)[:, None]
     rest = np.zeros_like(begins)

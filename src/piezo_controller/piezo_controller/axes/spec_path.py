@@ -40,18 +40,10 @@ def path_of_spec(spec: Any, sample_period_s: float, rate_hz: float | None = None
                  flyback_s: float | None = None) -> ScanPath:
     """Draw the path of a specification of `scanspec`.
 
-    Frames that touch are crossed at the speed of their bounds; over each gap leads a quintic of
-    minimum jerk. Raises `InvalidReference` if the specification says no durations and no rate is
-    given.
-
-    Parameters
-    ----------
-    spec : scanspec.specs.Spec
-        Its axes have the names of those of the stage, its positions are in um.
-    rate_hz : float, optional
-        Frames a second; by default the durations of the specification count.
-    flyback_s : float, optional
-        Time of a gap; by default `GAP` of a line's time.
+    Its axes have the names of those of the stage, its positions are in um. Its durations count if
+    no rate, in frames a second, is given. Frames that touch are crossed at the speed of their
+    bounds; over each gap leads a quintic of minimum jerk, in `GAP` of a line's time by default.
+    Raises `InvalidReference` if there are neither durations nor a rate.
     """
     from scanspec.core import Path as SpecPath
 

@@ -74,12 +74,7 @@ def draw_controller(controller: "FeedbackController", model: "StageModel | None"
                     clock_period_s: float = 25e-6) -> "Figure":
     """Draw the gain and phase of a controller, or the loop that it closes around a model.
 
-    Parameters
-    ----------
-    model : StageModel, optional
-        Model to close the loop with; open loop, sensitivity and Nyquist diagram are then drawn.
-    clock_period_s : float
-        Period of the stage's sample clock (s).
+    The loop is drawn as open loop, sensitivity and Nyquist diagram.
     """
     return _draw_response(controller) if model is None else _draw_loop(
         controller, model, clock_period_s)

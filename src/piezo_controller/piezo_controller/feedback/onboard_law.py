@@ -34,21 +34,14 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
     ----------
     controller : FeedbackController
         Controller for the model, with the period of the tick or of the sample clock.
-    max_feedback_v : float
-        Largest voltage of the feedback, of either sign (V).
     before_inverse : bool
-        Whether it passes the inverse hysteresis together with the feedforward.
+        Whether it passes the inverse hysteresis together with the feedforward. Its report must then
+        have the gain that it was designed for, else ValueError is raised.
     hold_inverse : bool
         Whether the stage then holds the mean of the inverse's voltages over a tick, as it holds
         the answer of a node.
     max_error_um : float
         Largest error of the law (um), see `FeedbackLaw`.
-
-    Raises
-    ------
-    ValueError
-        If the controller's report lacks the gain that it was designed for, and it must be divided
-        by it.
     """
     inverse = None
     if before_inverse:

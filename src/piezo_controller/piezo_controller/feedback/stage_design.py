@@ -60,18 +60,9 @@ def choose_rates(ultimate_hz: float, clock_hz: float, computing_s: float,
     """Return the bounds of bandwidth and rate, and the rate to use; ValueError if there is none.
 
     The rate is the usual one if it is within its bounds; otherwise the slowest that is, since a
-    high rate amplifies noise and costs computing time.
-
-    Parameters
-    ----------
-    ultimate_hz : float
-        Frequency at which a relay oscillates with the stage; used for ``omega_r`` and ``omega_bc``.
-    clock_hz : float
-        Rate of the stage's sample clock, f_max.
-    computing_s : float
-        Computing time of one answer of the feedback, T_FB.
-    disturbance_hz : float
-        Bandwidth of the disturbances, ``omega_d``.
+    high rate amplifies noise and costs computing time. A relay oscillates with the stage at the
+    ultimate frequency, which is used for ``omega_r`` and ``omega_bc``. The rate of the sample clock
+    is f_max, the computing time of one answer T_FB, the bandwidth of the disturbances ``omega_d``.
     """
     performance_hz = SUPPRESSION * disturbance_hz
     highest_bandwidth_hz = min(clock_hz / 2, 1 / computing_s, ultimate_hz)

@@ -18,11 +18,8 @@ DISPLACEMENT = "displacements", "um"
 class UnreachableReference(ValueError):
     """A reference that the amplifier cannot follow; the message gives a feasible amplitude.
 
-    Attributes
-    ----------
-    reachable_um : float
-        Largest feasible peak-to-peak amplitude of the reference, scaled about its mean; zero if
-        the mean itself is out of reach, NaN if it was not searched for.
+    `reachable_um` is the largest feasible peak-to-peak amplitude of the reference, scaled about its
+    mean; zero if the mean itself is out of reach, NaN if it was not searched for.
     """
 
     def __init__(self, message: str, reachable_um: float) -> None:
@@ -67,15 +64,8 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
                 watch: Watch | None = None) -> UnreachableReference:
     """Return the error with the largest feasible amplitude, which is found by bisection.
 
-    Parameters
-    ----------
-    plan : callable
-        ``plan(centre_um, scale)`` plans the reference scaled about a centre, and raises
-        `Infeasible`.
-    reference_um : ndarray
-        The reference, or a part of it with its mean and its extremes.
-    output_range_um : tuple of float
-        Range of the hysteresis' output (um).
+    ``plan(centre_um, scale)`` plans the reference scaled about a centre, and raises `Infeasible`;
+    of the reference, a part with its mean and its extremes suffices.
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
     watch = watch or (lambda fraction: None)

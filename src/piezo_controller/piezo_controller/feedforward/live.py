@@ -56,34 +56,16 @@ class DeclaredRange:
 
 
 class LivePlan(TrackingPlan):
-    """Follow published values with a constant delay.
+    """Follow published values, of which one has come, with a constant delay.
 
-    If no value comes in time, the last one is held. Speed, acceleration and range are bounded, and
-    there is no jump at the beginning: see `BoundedMotion`.
+    If no value comes in time, the last one is held. Speed, acceleration and range are bounded by
+    band and amplitude, and there is no jump at the beginning: see `BoundedMotion`. The values have
+    a centre, see `DeclaredRange`. Counted are the samples that were held, and that were clipped to
+    the reachable range, and how often values were skipped because the publisher was faster than the
+    stage.
 
-    Parameters
-    ----------
-    live : LiveReference
-        Published values, of which at least one has come.
-    band_hz, amplitude_um : float
-        Band and amplitude of the published values, see `BoundedMotion`.
-    run_samples : int
-        Duration for which the reference is followed.
-    centre_um : float
-        Centre of the published values, see `DeclaredRange`.
-
-    Attributes
-    ----------
-    held_samples, clipped_samples, skipped : int
-        Number of samples that were held, and that were clipped to the reachable range; number of
-        times that values were skipped because the publisher was faster than the stage.
-
-    Raises
-    ------
-    Infeasible
-        If the amplifier does not reach the first value.
-    InvalidReference
-        If the first value is not within the declared range.
+    Raises `Infeasible` if the amplifier does not reach the first value, and `InvalidReference` if
+    that is not within the declared range.
     """
 
     streamed, period_voltage_v = True, np.empty(0)
@@ -278,12 +260,8 @@ def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samp
               start_voltage_v: float = 0.0) -> LivePlan:
     """Plan to follow a published reference; see `LivePlan`.
 
-    Raises
-    ------
-    UnreachableReference
-        If the amplifier does not reach the first value.
-    ValueError
-        If the model's range does not fit the amplifier's, or the preview is too short for the band.
+    Raises `UnreachableReference` if the amplifier does not reach the first value, and ValueError if
+    the model's range does not fit the amplifier's, or the preview is too short for the band.
     """
     check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
     limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,

@@ -119,22 +119,10 @@ def short_preview_inverse(system: control.StateSpace, sample_period_s: float,
                           preview_samples: int, band_hz: float) -> PreviewInverse:
     """Design an inverse for a reference that is known for less than `PREVIEW_SAMPLES`.
 
-    It is a finite filter that also uses past samples, from which a band-limited signal is
-    predicted.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Continuous, strictly proper, without creep.
-    preview_samples : int
-        Preview; from `PREVIEW_SAMPLES` on the result is that of `preview_inverse` for any band.
-    band_hz : float
-        Highest frequency of the reference.
-
-    Raises
-    ------
-    ValueError
-        If the error at the end of the band exceeds `LARGEST_RESIDUAL`.
+    It is a finite filter that also uses past samples, from which a signal without frequencies above
+    the band is predicted. With a longer preview the result is that of `preview_inverse`, whose
+    system it takes, for any band. Raises ValueError if the error at the end of the band exceeds
+    `LARGEST_RESIDUAL`.
     """
     if preview_samples >= PREVIEW_SAMPLES:
         return preview_inverse(system, sample_period_s)

@@ -27,30 +27,12 @@ class LearningFeedforward(TrackingPlan):
     """Voltages of a learning run, part by part, and what to expect.
 
     Each part plays one iterate, faded in from the previous one: it settles, is measured, and
-    continues while the next is computed. The last part plays the best one.
+    continues while the next is computed. The learner is that of the same reference, one period,
+    (P,). After some iterations at most, the last part plays the best one for `run_samples`.
 
-    Parameters
-    ----------
-    reference_um : (P,) array
-        One period of the reference.
-    learner : PeriodicLearner
-        Learner of the same reference.
-    iterations : int
-        Largest number of iterations.
-    run_samples : int
-        Duration for which the best iterate is played.
-
-    Attributes
-    ----------
-    begin_sample : int
-        Sample at which the best iterate has settled; the latest possible until it is known.
-    iteration : int
-        Number of the present iteration; 0 once the best iterate is played.
-
-    Raises
-    ------
-    UnreachableReference
-        If the amplifier cannot follow half of the reference's amplitude according to the model.
+    `iteration` is the number of the present one, 0 once the best is played; `begin_sample` is where
+    that has settled, the latest possible until it is known. Raises `UnreachableReference` if the
+    amplifier cannot follow half of the reference's amplitude according to the model.
     """
 
     streamed = open_ended = True

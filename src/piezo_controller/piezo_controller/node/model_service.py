@@ -21,12 +21,8 @@ from piezo_ros.quality import DESCRIPTION
 class ModelService:
     """Service by which an operator accepts an extended model for the runs.
 
-    Parameters
-    ----------
-    readable : callable
-        Returns the path of a file to read, given the requested one.
-    check : callable
-        Designs the feedback for an extended model, and raises ValueError if it is unstable.
+    `readable` returns the path of a file to read, given the requested one. `check` designs the
+    feedback for an extended model, and raises ValueError if it is unstable.
     """
 
     def __init__(self, node: Node, readable: Callable[[str], str], check: CheckFeedback) -> None:

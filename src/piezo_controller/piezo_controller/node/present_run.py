@@ -17,17 +17,8 @@ class PresentRun:
     """Lets a run that the stage plays by itself switch to another model.
 
     A streamed or learned plan, and a feedback that answers, have state in this node: such a run
-    keeps its model.
-
-    Parameters
-    ----------
-    prepare : callable
-        Prepares the same request for another model; raises ValueError if that is impossible.
-
-    Attributes
-    ----------
-    ended : bool
-        Set once the stage is at rest again.
+    keeps its model. `prepare` prepares the same request for another model, and raises ValueError if
+    that is impossible. `ended` is set once the stage is at rest again.
     """
 
     def __init__(self, request: TrackRequest, named: ModelText, prepared: PreparedRun,

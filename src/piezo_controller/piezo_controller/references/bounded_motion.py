@@ -20,19 +20,10 @@ Straight lines between slow values stay below it, up to half of the declared ban
 
 
 class BoundedMotion:
-    """Follow values sample by sample.
+    """Follow values sample by sample, from a position at rest, after a first value.
 
-    Parameters
-    ----------
-    start_um, first_um : float
-        Position at rest, and the value before the first that is followed.
-    band_hz, amplitude_um : float
-        Highest frequency, and peak-to-peak amplitude, of values that are followed exactly.
-
-    Attributes
-    ----------
-    far_samples : int
-        Number of samples that the bounds kept more than `FAR` of the amplitude from their value.
+    Values up to a frequency, and a peak-to-peak amplitude, are followed exactly. `far_samples`
+    counts those that the bounds kept more than `FAR` of the amplitude from their value.
     """
 
     def __init__(self, start_um: float, first_um: float, band_hz: float, amplitude_um: float,

@@ -24,18 +24,8 @@ LONGEST_WAIT_S = 2.0
 class LiveReference:
     """Queue the published pieces of a reference, and return them sample by sample.
 
-    Safe to use from several threads.
-
-    Parameters
-    ----------
-    sample_period_s : float
-        Sample period of the stage (s).
-    patience_s : float
-        Time without a message after which the publisher counts as silent (s).
-    offset_um : float
-        Offset that is added to every value (um).
-    clock : callable
-        Returns the time (s).
+    Safe to use from several threads. The publisher counts as silent after `patience_s` without a
+    message; an offset is added to every value, and raises `InvalidReference` if it is not finite.
 
     Attributes
     ----------
@@ -47,11 +37,6 @@ class LiveReference:
         Last value (um); NaN before the first.
     bridged_samples : int
         Number of omitted samples that were bridged.
-
-    Raises
-    ------
-    InvalidReference
-        If `offset_um` is not finite.
     """
 
     def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,

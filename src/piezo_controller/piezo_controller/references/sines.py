@@ -23,14 +23,9 @@ Shape = Callable[[FloatArray, float], FloatArray]
 
 
 class Waves:
-    """Waves of one shape, each with its frequency, amplitude and phase.
+    """Waves of one shape, each with its frequency, amplitude and phase; some at most.
 
-    Parameters
-    ----------
-    shape : callable
-        Returns the wave (-1 to 1), given its angle (rad) and frequency (Hz).
-    most : float
-        Largest number of waves in a reference.
+    The shape returns the wave (-1 to 1), given its angle (rad) and frequency (Hz).
     """
 
     def __init__(self, shape: Shape, most: float = 1) -> None:

@@ -56,13 +56,9 @@ class FormulaTrajectory(Trajectory):
 class JoinedTrajectory(Trajectory):
     """A sequence of trajectories, each faded into the next without a jump.
 
-    Parameters
-    ----------
-    durations : list of int
-        Duration of each part (samples); the last one continues.
-    transition : int
-        Samples in which the next part takes over from its beginning on, while the previous one
-        continues; no derivative up to the second jumps.
+    Each part has a duration (samples); the last one continues. In the samples of the transition the
+    next part takes over from its beginning on, while the previous one continues; no derivative up
+    to the second jumps.
     """
 
     def __init__(self, parts: Sequence[Trajectory], durations: Sequence[int],

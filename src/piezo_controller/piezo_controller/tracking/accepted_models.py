@@ -65,26 +65,12 @@ class AcceptedModels:
 
     def accept(self, model: ModelText, extended: ModelText, check: CheckFeedback,
                go_over: Callable[[ModelText], str] = lambda _: "") -> str:
-        """Use an extended model in place of a model from now on.
+        """Use an extended model in place of a model from now on; return what `go_over` returned.
 
-        Parameters
-        ----------
-        check : callable
-            Designs the feedback for the extended model, and raises ValueError if it is unstable.
-        go_over : callable
-            Switches the run in progress to the model; returns from when on it is used, and may
-            raise.
-
-        Returns
-        -------
-        str
-            What `go_over` returned.
-
-        Raises
-        ------
-        ValueError
-            If a file cannot be used, the models differ grossly, the feedback is unstable, or the
-            run in progress cannot switch; nothing changes then.
+        `check` designs the feedback for the extended model, and raises ValueError if it is
+        unstable. `go_over` switches the run in progress to the model; it returns from when on it is
+        used, and may raise. Raises ValueError if a file cannot be used, the models differ grossly,
+        the feedback is unstable, or the run in progress cannot switch; nothing changes then.
         """
         present, following = (load_model(one.path).model for one in (model, extended))
         before, after = present.hysteresis, following.hysteresis

@@ -121,19 +121,11 @@ def prepare_path(request: TrackRequest, clock: StageClock, stage: AxesStage, fee
                  steps: Steps, window_s: float = 0.1) -> PreparedRun:
     """Prepare the run of a request to a stage of several axes.
 
-    The path is one of `piezo_controller.axes.scan`, about the operating point of the model. The
-    error counts once the path has been followed for a tenth of a second.
-
-    Parameters
-    ----------
-    request : TrackRequest
-        Of one reference, whose frequency is the rate of the path, and whose amplitudes are its
-        sizes along the fast and the slow axis, or one for both.
-
-    Raises
-    ------
-    ValueError
-        The message says what cannot be done, and what to change.
+    The request has one reference, whose frequency is the rate of the path, and whose amplitudes are
+    its sizes along the fast and the slow axis, or one for both. The path is one of
+    `piezo_controller.axes.scan`, about the operating point of the model. The error counts once the
+    path has been followed for a tenth of a second. Raises ValueError, which says what cannot be
+    done, and what to change.
     """
     check_times(request)
     if request.mode not in MODES_OF_AXES:

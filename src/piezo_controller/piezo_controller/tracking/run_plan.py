@@ -44,21 +44,10 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
                     watch: Watch | None = None) -> FeedforwardPlan | StreamPlan:
     """Plan the feedforward of one reference, or of several that follow each other.
 
-    Parameters
-    ----------
-    mode : str
-        One of the modes of `plan_mode`.
-    durations_s : list of float
-        Duration of each reference; a transition begins where the previous reference ends, and is
-        part of the next one.
-    inversion : str
-        Empty for the exact inverse of a period, if there is one; otherwise the method of
-        `preview_inverse` for an online inverse.
-
-    Raises
-    ------
-    ValueError
-        If a reference is invalid, or a planner cannot reach it.
+    Each reference has a duration; a transition begins where the previous reference ends, and is
+    part of the next one. The modes are those of `plan_mode`. An empty inversion is the exact
+    inverse of a period, if there is one; otherwise it names the method of `preview_inverse` for an
+    online inverse. Raises ValueError if a reference is invalid, or a planner cannot reach it.
     """
     if len(references) != len(durations_s):
         raise InvalidReference(f"then has {len(references) - 1} references and then_duration_s "
@@ -105,21 +94,9 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
                   ) -> tuple[LearningFeedforward, PeriodicLearner]:
     """Plan to learn the feedforward of a periodic reference, and then to play the best one.
 
-    Parameters
-    ----------
-    run_samples : int
-        Duration for which the best feedforward is played (samples); whole ticks.
-    controller : FeedbackController
-        Controller that acts during the learning.
-    iterations : int
-        Largest number of iterations.
-    correction_um : (P,) array, optional
-        Correction to begin with.
-
-    Raises
-    ------
-    ValueError
-        If the reference has no period, or is far out of reach.
+    The controller acts during the learning, which takes some iterations at most, from a correction,
+    (P,), if there is one; the best is then played for whole ticks. Raises ValueError if the
+    reference has no period, or is far out of reach.
     """
     reference_um = sample_reference(reference, stage.sample_rate_hz)
     if correction_um is not None and correction_um.size != reference_um.size:

@@ -151,19 +151,9 @@ def prepare(request: TrackRequest, stage: StageClock, feedbacks: Feedbacks, step
             live: LiveReference | None = None) -> PreparedRun:
     """Prepare the run of a request.
 
-    Parameters
-    ----------
-    writable : callable
-        Returns the path under which a file may be written; raises ValueError if it may not.
-    window_s : float
-        Window of the running error (s).
-    live : LiveReference, optional
-        Published values of a request of the kind ``topic``, of which at least one has come.
-
-    Raises
-    ------
-    ValueError
-        The message says what cannot be done, and what to change.
+    `writable` returns the path under which a file may be written, or raises ValueError if it may
+    not. The running error has a window (s). Of a request of the kind ``topic``, at least one
+    published value has come. Raises ValueError, which says what cannot be done, and what to change.
     """
     check_times(request)
     model = load_model(request.model).model

@@ -51,15 +51,11 @@ def light_mode_problem(model: StageModel, weights: SampleRateWeights,
                        clock_period_s: float, delay_ticks: int = 1) -> control.StateSpace:
     """Return the generalised plant of the design, for a plant of gain 1.
 
-    Creep is omitted: it is slower than all that the feedback is designed for, and its poles close
-    to 1 would cost the Riccati equations their accuracy. The light mode has no antiresonance; for
-    the ticks of computing time see `design_plant`.
-
-    Returns
-    -------
-    control.StateSpace
-        Inputs: outputs of the two uncertainties, disturbance, noise, control. Outputs: inputs of
-        the two uncertainties, weighted error, weighted control, measured error.
+    Its inputs are the outputs of the two uncertainties, disturbance, noise and control; its outputs
+    the inputs of the two uncertainties, weighted error, weighted control and measured error. Creep
+    is omitted: it is slower than all that the feedback is designed for, and its poles close to 1
+    would cost the Riccati equations their accuracy. The light mode has no antiresonance; for the
+    ticks of computing time see `design_plant`.
     """
     dt = clock_period_s
     samples = 1 + delay_ticks

@@ -79,20 +79,9 @@ class PerturbedLoops:
 
     The light mode has five frequencies within its error, at its least damping, and the gain of the
     hysteresis both its ends. For each of these ten, lag and other modes are all slow or all fast,
-    and the other modes more or less damped: the corners with the largest phase errors.
-
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-        Model with at least one mode.
-    disturbance_hz : sequence of float
-        Frequencies at which the attenuation is determined.
-    disturbance_tolerance : float
-        Relative error of these frequencies; the least attenuation within it counts.
-    delay_ticks : int
-        Ticks of computing time; 0 if the stage evaluates the feedback by itself.
-    coarse : int
-        Number of frequencies over the whole band.
+    and the other modes more or less damped: the corners with the largest phase errors. The least
+    attenuation within the tolerance of each disturbance's frequency counts; the whole band has a
+    number of coarse frequencies.
 
     Attributes
     ----------

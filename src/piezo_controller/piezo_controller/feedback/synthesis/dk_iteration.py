@@ -53,26 +53,13 @@ def iterate(plant: control.StateSpace, scalars: int, dynamic: bool = False,
 
     The iteration converges slowly, as an optimal K levels the peaks that the next D could lower.
     Constant scalings are therefore refined by a direct search around the synthesis, from the result
-    of the iteration. Dynamic ones are iterated from there.
+    of the iteration. Dynamic ones, which depend on frequency and add to the controller's order, are
+    iterated from there.
 
-    Parameters
-    ----------
-    plant : control.StateSpace
-        Generalised plant; see `structured_singular_values` for the order of its inputs and
-        outputs, `synthesise` for the last of each.
-    scalars : int
-        Number of scalar uncertainties of each axis.
-    dynamic : bool
-        Whether the scalings depend on frequency; they add to the controller's order.
-    slack : float
-        Slack of the final synthesis, see `synthesise`.
-    axes : int
-        Number of axes, whose uncertainties of one kind have a common, constant scaling.
-
-    Raises
-    ------
-    NoController
-        If there is none even without scalings.
+    Each axis of the generalised plant has a number of scalar uncertainties; those of one kind have
+    a common, constant scaling in all axes. For the order of inputs and outputs see
+    `structured_singular_values`, for the last of each and for the slack of the final synthesis
+    `synthesise`. Raises `NoController` if there is none even without scalings.
     """
     iteration = _Iteration(plant, scalars, axes)
     iteration.synthesise(np.ones(scalars))

@@ -22,26 +22,18 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
 
     Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
     when the voltage is limited. Returned with it is the upper bound of the norm of the closed loop
-    (gamma).
+    (gamma). Raises `NoController` if no controller reaches even `largest_norm`.
 
     Parameters
     ----------
     plant : control.StateSpace
-        Discrete; its last inputs are the controls, its last outputs the measurements.
+        Discrete; its last inputs are the controls, one for each axis, its last outputs the
+        measurements.
     slack : float
         Part of the smallest norm that is given up. The optimal controller levels the closed loop
         over all frequencies, if necessary with lightly damped poles; a little slack avoids that.
-    largest_norm : float
-        Upper end of the bisection.
     tolerance : float
         Relative width at which the bisection ends.
-    axes : int
-        Number of controls, and of measurements.
-
-    Raises
-    ------
-    NoController
-        If no controller reaches even `largest_norm`.
     """
     upper, lower = largest_norm, 0.0
     best = _admissible(plant, upper, axes)
