@@ -8,11 +8,11 @@ from functools import partial
 import numpy as np
 
 from piezo_common.arrays import FloatArray, IntArray
-from piezo_controller.feedforward.approach import check_amplifier_range
+from piezo_controller.feedforward.approach import USUAL_STAGE, StageClock, check_amplifier_range
 from piezo_controller.feedforward.feasibility import Infeasible, UnreachableReference
 from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.feedforward.preview_inverse import short_preview_inverse
-from piezo_controller.feedforward.streamed import StreamLimits, StreamPlanner, approach_samples
+from piezo_controller.feedforward.streamed import StreamPlanner, approach_samples, check_voltages
 from piezo_controller.references.bounded_motion import SLACK, BoundedMotion
 from piezo_controller.references.kind import InvalidReference
 from piezo_controller.references.live_reference import LiveReference
@@ -77,8 +77,8 @@ class LivePlan(TrackingPlan):
         self._centred = bool(centre_um)
         if self._centred:
             self._declared.check(np.array([live.latest_um]))
-        self._hysteresis, self._limits = planner.hysteresis, planner.limits
-        self._hysteresis_range_um = _within(planner.hysteresis, planner.limits.highest_v)
+        self._hysteresis, self._stage = planner.hysteresis, planner.stage
+        self._hysteresis_range_um = _within(planner.hysteresis, planner.stage.voltage_range_v[1])
         margin_um = RANGE_MARGIN * (self._hysteresis_range_um[1] - self._hysteresis_range_um[0])
         self.range_um = (self._hysteresis_range_um[0] + margin_um,
                          self._hysteresis_range_um[1] - margin_um)
@@ -114,7 +114,7 @@ class LivePlan(TrackingPlan):
     @property
     def note(self) -> str:
         """Return a note on the delay and the first moments of the run; see `degraded`."""
-        delay_ms = 1e3 * self.delay_samples * self._limits.sample_period_s
+        delay_ms = 1e3 * self.delay_samples * self._stage.sample_period_s
         first = self._described(self._of_first_moments)
         return f"followed the reference {delay_ms:.3g} ms after it was published" + (
             f", in its first moments {first}" if first else "")
@@ -137,7 +137,7 @@ class LivePlan(TrackingPlan):
                  "clipped to {:.4g} to {:.4g} um".format(*self.range_um),
                  "faster than the declared band and amplitude",
                  "a straight line, as values were skipped")
-        period_ms = 1e3 * self._limits.sample_period_s
+        period_ms = 1e3 * self._stage.sample_period_s
         remarks = [f"for {period_ms * count:.3g} ms it was {text}"
                    for count, text in zip(samples, texts, strict=True) if count]
         if skipped:
@@ -217,7 +217,7 @@ class LivePlan(TrackingPlan):
         hysteresis_um = self._inverse.before_linear(self._move(values_um))
         voltage_v = self._hysteresis.invert(
             np.clip(hysteresis_um, *self._hysteresis_range_um), self._inverse.hysteresis)
-        self._limits.check(self._last_v, voltage_v)
+        check_voltages(self._last_v, voltage_v, self._hysteresis, self._stage)
         self._last_v = voltage_v[-1:]
         return voltage_v
 
@@ -255,20 +255,16 @@ class _Recent:
 
 def plan_live(live: LiveReference, band_hz: float, amplitude_um: float, run_samples: int,
               model: StageModel, *, centre_um: float = 0.0,
-              voltage_range_v: tuple[float, float] = (-20.0, 120.0),
-              slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
-              start_voltage_v: float = 0.0) -> LivePlan:
+              stage: StageClock = USUAL_STAGE) -> LivePlan:
     """Plan to follow a published reference; see `LivePlan`.
 
     Raises `UnreachableReference` if the amplifier does not reach the first value, and ValueError if
     the model's range does not fit the amplifier's, or the preview is too short for the band.
     """
-    check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
-    limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
-                          sample_period_s)
+    check_amplifier_range(model.hysteresis, stage)
     planner = StreamPlanner(
         model, partial(short_preview_inverse, preview_samples=live.preview_samples,
-                       band_hz=band_hz), limits, start_voltage_v, lambda fraction: None)
+                       band_hz=band_hz), stage, lambda fraction: None)
     try:
         return LivePlan(planner, live, band_hz, amplitude_um, run_samples, centre_um)
     except Infeasible as reason:

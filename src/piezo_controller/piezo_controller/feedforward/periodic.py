@@ -11,6 +11,8 @@ from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.approach import (
     FADE_S,
     RAMP_S,
+    USUAL_STAGE,
+    StageClock,
     aligned_samples,
     check_amplifier_range,
 )
@@ -84,9 +86,7 @@ class FeedforwardPlan(TrackingPlan):
 
 
 def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "feedforward", *,
-                     voltage_range_v: tuple[float, float] = (-20.0, 120.0),
-                     slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
-                     start_voltage_v: float = 0.0, duration_s: float = 1.0,
+                     stage: StageClock = USUAL_STAGE, duration_s: float = 1.0,
                      watch: Watch | None = None) -> FeedforwardPlan:
     """Plan the voltage that makes a model at rest follow a periodic reference.
 
@@ -115,10 +115,7 @@ def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "fe
         If the model's range does not fit the amplifier's, or `mode` is unknown.
     """
     reference_um = np.asarray(reference_um, dtype=float)
-    planner = FeedforwardPlanner(
-        len(reference_um), model, mode, voltage_range_v=voltage_range_v,
-        slew_limit_v_per_s=slew_limit_v_per_s, sample_period_s=sample_period_s,
-        start_voltage_v=start_voltage_v, duration_s=duration_s)
+    planner = FeedforwardPlanner(len(reference_um), model, mode, stage=stage, duration_s=duration_s)
     try:
         return planner.plan(reference_um)
     except Infeasible as reason:
@@ -133,13 +130,11 @@ class FeedforwardPlanner:
     """Plans references of one period length (samples) for one model; see `plan_feedforward`."""
 
     def __init__(self, period: int, model: StageModel, mode: str = "feedforward", *,
-                 voltage_range_v: tuple[float, float] = (-20.0, 120.0),
-                 slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
-                 start_voltage_v: float = 0.0, duration_s: float = 1.0) -> None:
+                 stage: StageClock = USUAL_STAGE, duration_s: float = 1.0) -> None:
         if mode not in MODES:
             raise ValueError(
                 f'unknown mode {mode!r} of the feedforward: use one of {", ".join(MODES)}')
-        check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
+        check_amplifier_range(model.hysteresis, stage)
         self.model = replace(model, effects=tuple(
             effect for effect in model.effects if effect.follows_voltage))
         self.uncompensated = tuple(
@@ -147,10 +142,8 @@ class FeedforwardPlanner:
         self.hysteresis = model.hysteresis
         self.period = period
         self.mode = mode
-        self.highest_v = voltage_range_v[1]
-        self.slew_limit_v_per_s = slew_limit_v_per_s
-        self.sample_period_s = sample_period_s
-        self.start_voltage_v = start_voltage_v
+        self.stage = stage
+        self.sample_period_s = sample_period_s = stage.sample_period_s
         self.linear = model.linear()
         self.sampled = zoh(self.linear, sample_period_s)
 
@@ -163,7 +156,7 @@ class FeedforwardPlanner:
         self.fade = np.r_[minimum_jerk(fade), np.ones(settle + period)]
         self.fade_phase = np.arange(self.fade_start - self.once, period) % period
 
-        rest = model.memory(start_voltage_v)
+        rest = model.memory(stage.rest_voltage_v)
         self.rest_memory = rest.hysteresis
         self.rest_hysteresis_um = rest.hysteresis.hysteresis_um
         self.rest_displacement_um = float(self.sampled.C[0] @ rest.linear_state)
@@ -204,7 +197,7 @@ class FeedforwardPlanner:
             level += (mean_um - self._mean_displacement_um(hysteresis_um)) / level_gain
         voltage_v, hysteresis_um = self._play(level, wave)
         check_slew(np.append(voltage_v, voltage_v[self.once]), self.sample_period_s,
-                   self.slew_limit_v_per_s)
+                   self.stage.slew_limit_v_per_s)
         return FeedforwardPlan(voltage_v[:self.once], voltage_v[self.once:],
                                self._expected_once_um(hysteresis_um, reference_um),
                                reference_um.copy(), self.fade_start, self.uncompensated)
@@ -249,15 +242,16 @@ class FeedforwardPlanner:
 
     def _play(self, level: float, wave: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return voltage and hysteresis output of the part played once and of one period."""
-        lowest_v = self.hysteresis.voltage_min_v
+        lowest_v, highest_v = self.hysteresis.voltage_min_v, self.stage.voltage_range_v[1]
+        start_v = self.stage.rest_voltage_v
         target = level + self.fade * wave[self.fade_phase]
         if self.mode == "open_loop":
-            check_range(target, lowest_v, self.highest_v, VOLTAGE)
+            check_range(target, lowest_v, highest_v, VOLTAGE)
             centre_v = level
         else:
             check_hysteresis_range(target, self.hysteresis)
             centre_v = self.hysteresis.invert([level])[0]
-        voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * self.ramp,
+        voltage_v = np.r_[start_v + (lowest_v - start_v) * self.ramp,
                           lowest_v + (centre_v - lowest_v) * self.ramp]
         memory = self.rest_memory.copy()
         hysteresis_um = self.hysteresis.simulate(
@@ -269,7 +263,7 @@ class FeedforwardPlanner:
             period_v = played_v[-self.period:]
             ahead_v = self._compensated(period_v, ("voltage",)) - period_v
             played_v = played_v + self.fade * ahead_v[self.fade_phase]
-        check_range(played_v, lowest_v, self.highest_v, VOLTAGE)
+        check_range(played_v, lowest_v, highest_v, VOLTAGE)
         return np.r_[voltage_v, played_v], np.r_[hysteresis_um, played_um]
 
     def _mean_displacement_um(self, hysteresis_um: FloatArray) -> float:

@@ -15,6 +15,8 @@ from piezo_controller.feedforward.approach import (
     ALIGNMENT_SAMPLES,
     FADE_S,
     RAMP_S,
+    USUAL_STAGE,
+    StageClock,
     aligned_samples,
     check_amplifier_range,
 )
@@ -44,7 +46,7 @@ from piezo_controller.references.smooth_rise import minimum_jerk, smooth_rise
 from piezo_controller.references.trajectory import KeptTrajectory, Trajectory
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import lag_behind_hysteresis
-from piezo_models.hysteresis.preisach import PreisachMemory
+from piezo_models.hysteresis.preisach import PreisachMemory, PreisachModel
 from piezo_models.linear.connections import inverse
 from piezo_models.linear.dynamics import continue_linear, equilibrium_state, zoh, zoh_response
 
@@ -78,7 +80,7 @@ class StreamPlan(TrackingPlan):
     """Effects of the model that are not compensated."""
     inverse: OnlineInverse
     """State of the inverse after `once_voltage_v`."""
-    limits: "StreamLimits"
+    stage: StageClock
 
     margin_samples: int
     """Samples of the reference that the inverse needs in advance."""
@@ -117,7 +119,7 @@ class StreamPlan(TrackingPlan):
                 yield voltage_v
                 computed += voltage_v.size
         except Infeasible as reason:
-            begin_s, end_s = (self.limits.sample_period_s * max(at - self.begin_sample, 0)
+            begin_s, end_s = (self.stage.sample_period_s * max(at - self.begin_sample, 0)
                               for at in (computed, computed + chunk_samples))
             raise UnreachableReference(
                 f"the amplifier cannot follow the reference between {begin_s:.4g} and {end_s:.4g} "
@@ -139,31 +141,21 @@ class StreamPlan(TrackingPlan):
         for first in range(start, end, chunk_samples):
             count = min(chunk_samples, end - first)
             voltage_v = inverse.continue_with(self.expected_um(first + margin, count))
-            self.limits.check(last_v, voltage_v)
+            check_voltages(last_v, voltage_v, self.inverse.model.hysteresis, self.stage)
             last_v = voltage_v[-1:]
             yield voltage_v
 
 
-@dataclass(frozen=True)
-class StreamLimits:
-    """Limits of the voltages of a stream."""
-
-    lowest_v: float
-    highest_v: float
-    slew_limit_v_per_s: float
-    sample_period_s: float
-
-    def check(self, last_v: FloatArray, voltage_v: FloatArray) -> None:
-        """Raise `Infeasible` if voltages exceed the limits, given those played last."""
-        check_range(voltage_v, self.lowest_v, self.highest_v, VOLTAGE)
-        check_slew(np.r_[last_v, voltage_v], self.sample_period_s, self.slew_limit_v_per_s)
+def check_voltages(last_v: FloatArray, voltage_v: FloatArray, hysteresis: PreisachModel,
+                   stage: StageClock) -> None:
+    """Raise `Infeasible` if voltages, after those played last, exceed the limits of a stream."""
+    check_range(voltage_v, hysteresis.voltage_min_v, stage.voltage_range_v[1], VOLTAGE)
+    check_slew(np.r_[last_v, voltage_v], stage.sample_period_s, stage.slew_limit_v_per_s)
 
 
 def plan_stream(reference: Trajectory, samples: int, model: StageModel,
-                method: str = "least_squares", *,
-                voltage_range_v: tuple[float, float] = (-20.0, 120.0),
-                slew_limit_v_per_s: float = 2e6, sample_period_s: float = 25e-6,
-                start_voltage_v: float = 0.0, preview_samples: int = PREVIEW_SAMPLES,
+                method: str = "least_squares", *, stage: StageClock = USUAL_STAGE,
+                preview_samples: int = PREVIEW_SAMPLES,
                 watch: Watch | None = None) -> StreamPlan:
     """Plan the voltage that makes a model at rest follow any reference, with a short preview.
 
@@ -186,12 +178,10 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
     ValueError
         If the model's range does not fit the amplifier's, or `method` does not suit the model.
     """
-    check_amplifier_range(model.hysteresis, voltage_range_v, start_voltage_v)
-    limits = StreamLimits(model.hysteresis.voltage_min_v, voltage_range_v[1], slew_limit_v_per_s,
-                          sample_period_s)
+    check_amplifier_range(model.hysteresis, stage)
     planner = StreamPlanner(
-        model, partial(preview_inverse, method=method, preview_samples=preview_samples), limits,
-        start_voltage_v, watch or (lambda fraction: None))
+        model, partial(preview_inverse, method=method, preview_samples=preview_samples), stage,
+        watch or (lambda fraction: None))
     try:
         return planner.plan(reference, samples)
     except Infeasible as reason:
@@ -207,15 +197,14 @@ def approach_samples(sample_period_s: float = 25e-6) -> int:
 class StreamPlanner:
     """Plans general references for one model; see `plan_stream`."""
 
-    def __init__(self, model: StageModel, inverse_of: InverseDesign, limits: StreamLimits,
-                 start_voltage_v: float, watch: Watch) -> None:
+    def __init__(self, model: StageModel, inverse_of: InverseDesign, stage: StageClock,
+                 watch: Watch) -> None:
         # A stream compensates the effects after the hysteresis.
         model = replace(model, effects=lag_behind_hysteresis(model.effects))
         self.model = model
         self.hysteresis = model.hysteresis
-        self.limits = limits
-        self.sample_period_s = limits.sample_period_s
-        self.start_voltage_v = start_voltage_v
+        self.stage = stage
+        self.sample_period_s = stage.sample_period_s
         self.watch = watch
         self.fast = model.dynamics.state_space(model.effects_at("modes"))
         self.preview = inverse_of(self.fast, self.sample_period_s)
@@ -236,7 +225,7 @@ class StreamPlanner:
         expected = _FadedIn(slow_um, level_um, reference, approach,
                             aligned_samples(FADE_S, self.sample_period_s))
         plan = StreamPlan(once_v, KeptTrajectory(expected), reference, samples,
-                          once_v.size + approach, self.uncompensated, inverse, self.limits,
+                          once_v.size + approach, self.uncompensated, inverse, self.stage,
                           self.margin)
         self._check_extremes(reference.survey(samples))
         checked = round(CHECKED_S / self.sample_period_s)
@@ -302,15 +291,15 @@ class StreamPlanner:
         They are followed by the state at their end: the memory of the hysteresis, and displacement
         and state of the slow part.
         """
-        lowest_v = self.hysteresis.voltage_min_v
+        lowest_v, start_v = self.hysteresis.voltage_min_v, self.stage.rest_voltage_v
         reachable_um = np.clip(first_um, *self.hysteresis.output_range_um)
         first_v = self.hysteresis.invert([reachable_um])[0]
-        check_range(np.array([first_v]), lowest_v, self.limits.highest_v, VOLTAGE)
+        check_range(np.array([first_v]), lowest_v, self.stage.voltage_range_v[1], VOLTAGE)
         ramp = minimum_jerk(aligned_samples(RAMP_S, self.sample_period_s))
-        voltage_v = np.r_[self.start_voltage_v + (lowest_v - self.start_voltage_v) * ramp,
+        voltage_v = np.r_[start_v + (lowest_v - start_v) * ramp,
                           lowest_v + (first_v - lowest_v) * ramp,
                           np.full(aligned_samples(REST_S, self.sample_period_s), first_v)]
-        memory = self.model.memory(self.start_voltage_v).hysteresis
+        memory = self.model.memory(start_v).hysteresis
         before = equilibrium_state(self.slow, memory.hysteresis_um)
         hysteresis_um = self.hysteresis.simulate(
             self.model.amplified(voltage_v, self.sample_period_s), memory)

@@ -2,7 +2,6 @@
 """Plan the references of a goal: as a repeated period, streamed, or learned."""
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.feedback_design import FeedbackController
@@ -28,15 +27,6 @@ from piezo_models.linear.dynamics import zoh_response
 
 STREAMED_MODES = ("feedforward", "composite")
 TRANSITION_S = 0.05
-
-
-class _Limits(TypedDict):
-    """Limits of the stage that every planner needs."""
-
-    voltage_range_v: tuple[float, float]
-    slew_limit_v_per_s: float
-    sample_period_s: float
-    start_voltage_v: float
 
 
 def plan_references(mode: str, references: Sequence[Reference], durations_s: Sequence[float],
@@ -68,7 +58,7 @@ def plan_references(mode: str, references: Sequence[Reference], durations_s: Seq
     way = ways[0] if len(ways) == 1 else JoinedTrajectory(
         ways, durations, round(TRANSITION_S * rate_hz))
     return plan_stream(way, sum(durations), model, inversion or "least_squares",
-                       watch=watch, **_limits(stage))
+                       stage=stage, watch=watch)
 
 
 def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, model: StageModel,
@@ -85,7 +75,7 @@ def plan_topic(mode: str, references: Sequence[Reference], run_samples: int, mod
             "of the controller's node: leave then and inversion empty")
     band_hz, amplitude_um, _ = one_component(reference, stage.sample_rate_hz)
     return plan_live(live, band_hz, amplitude_um, run_samples, model,
-                     centre_um=reference.centre_um, **_limits(stage))
+                     centre_um=reference.centre_um, stage=stage)
 
 
 def plan_learning(reference: Reference, run_samples: int, model: StageModel,
@@ -108,15 +98,8 @@ def plan_learning(reference: Reference, run_samples: int, model: StageModel,
         lambda frequency_hz: fast_sensitivity(model, controller, frequency_hz, period_s),
         lambda frequency_hz: 1 / zoh_response(linear, frequency_hz, period_s),
         period_s, correction_um)
-    planner = FeedforwardPlanner(reference_um.size, model, duration_s=run_samples * period_s,
-                                 **_limits(stage))
+    planner = FeedforwardPlanner(reference_um.size, model, stage=stage,
+                                 duration_s=run_samples * period_s)
     feedforward = LearningFeedforward(planner, reference_um, learner, iterations, run_samples,
                                       stage.samples_per_tick)
     return feedforward, learner
-
-
-def _limits(stage: StageClock) -> _Limits:
-    """Return the limits of the stage, as keyword arguments of the planners."""
-    return _Limits(voltage_range_v=stage.voltage_range_v,
-                   slew_limit_v_per_s=stage.slew_limit_v_per_s,
-                   sample_period_s=stage.sample_period_s, start_voltage_v=stage.rest_voltage_v)

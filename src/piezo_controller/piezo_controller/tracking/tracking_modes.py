@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What is played in advance in each mode of tracking, and which feedback is added."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_controller.feedforward.approach import FADE_S
+from piezo_controller.feedforward.approach import FADE_S, StageClock
 from piezo_controller.feedforward.periodic import FeedforwardPlan, plan_feedforward
 from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.kind import Reference, Watch
@@ -20,30 +19,6 @@ MODES = ("open_loop", "pid", "pi", "feedforward", "composite", "composite_single
 FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
                     "composite_single_rate": "h_infinity"}
 """Method of `design_feedback` for each mode with feedback."""
-
-
-@dataclass(frozen=True)
-class StageClock:
-    """Limits and clock of the stage that a plan is made for."""
-
-    voltage_range_v: tuple[float, float] = (-20.0, 120.0)
-    slew_limit_v_per_s: float = 2e6
-    rest_voltage_v: float = 0.0
-    sample_rate_hz: float = 40000.0
-    samples_per_tick: int = 40
-
-    max_feedback_v: float = math.inf
-    """Largest feedback voltage that the stage accepts, of either sign (V)."""
-
-    @property
-    def sample_period_s(self) -> float:
-        """Return the period of the sample clock (s)."""
-        return 1.0 / self.sample_rate_hz
-
-    @property
-    def tick_s(self) -> float:
-        """Return the period of the feedback (s)."""
-        return self.samples_per_tick / self.sample_rate_hz
 
 
 def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
@@ -72,11 +47,9 @@ def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageCl
 
     def plan(wanted_um: FloatArray, kind: str = "feedforward",
              samples_held: int = 1) -> FeedforwardPlan:
-        return plan_feedforward(
-            wanted_um, model, kind, voltage_range_v=stage.voltage_range_v,
-            slew_limit_v_per_s=stage.slew_limit_v_per_s,
-            sample_period_s=samples_held / stage.sample_rate_hz,
-            start_voltage_v=stage.rest_voltage_v, duration_s=duration_s, watch=watch)
+        held = replace(stage, sample_rate_hz=stage.sample_rate_hz / samples_held)
+        return plan_feedforward(wanted_um, model, kind, stage=held, duration_s=duration_s,
+                                watch=watch)
 
     if mode in ("pid", "pi"):
         return _with_reference(plan(np.full(reference_um.size, reference_um.mean())),

@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 
+from piezo_controller.feedforward.approach import StageClock
 from piezo_controller.feedforward.feasibility import UnreachableReference
 from piezo_controller.feedforward.periodic import BANDWIDTH_HZ, bandwidth_hz, plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
@@ -119,11 +120,12 @@ def test_refused_reference_names_an_amplitude_that_is_accepted(stage_model, refe
 
 
 def test_slew_limit_refuses_and_names_an_amplitude_that_keeps_it(stage_model):
+    slow = StageClock(slew_limit_v_per_s=5e4)
     with pytest.raises(UnreachableReference, match="slew limit") as refusal:
-        plan_feedforward(harmonic(500.0, 21.0), stage_model, slew_limit_v_per_s=5e4)
+        plan_feedforward(harmonic(500.0, 21.0), stage_model, stage=slow)
     reachable_um = refusal.value.reachable_um
     assert 0 < reachable_um < 21
-    plan = plan_feedforward(harmonic(500.0, reachable_um), stage_model, slew_limit_v_per_s=5e4)
+    plan = plan_feedforward(harmonic(500.0, reachable_um), stage_model, stage=slow)
     voltage_v = plan.voltage_v(0, len(plan.once_voltage_v) + 160)
     assert np.abs(np.diff(voltage_v)).max() <= 5e4 * SAMPLE_PERIOD_S
 
@@ -136,7 +138,7 @@ def test_mean_beyond_the_travel_is_refused_with_the_travel_named(stage_model):
 
 def test_model_that_begins_below_the_amplifier_is_refused(stage_model):
     with pytest.raises(ValueError, match="identify the model over the amplifier's range"):
-        plan_feedforward(harmonic(100.0, 1.0), stage_model, voltage_range_v=(0.0, 120.0))
+        plan_feedforward(harmonic(100.0, 1.0), stage_model, stage=StageClock((0.0, 120.0)))
 
 
 def test_content_above_the_bandwidth_is_left_out_instead_of_amplified(stage_model):

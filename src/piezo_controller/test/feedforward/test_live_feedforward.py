@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from piezo_controller.feedforward.approach import StageClock
 from piezo_controller.feedforward.feasibility import UnreachableReference
 from piezo_controller.feedforward.live import DELAY_SAMPLES, plan_live
 from piezo_controller.feedforward.preview_inverse import short_preview_inverse
@@ -37,9 +38,9 @@ class Publisher:
 
 
 def follow(model, publisher, run_samples=RUN_SAMPLES, publish=lambda publisher, tick:
-           publisher.publish(TICK), **limits):
+           publisher.publish(TICK)):
     """Play a plan tick by tick on the model itself; return plan, voltages and expected."""
-    plan = plan_live(publisher.live, BAND_HZ, AMPLITUDE_UM, run_samples, model, **limits)
+    plan = plan_live(publisher.live, BAND_HZ, AMPLITUDE_UM, run_samples, model)
     more, loaded_v, played_v, expected_um = plan.continuation(), plan.once_voltage_v, [], []
     for tick in range((plan.begin_sample + run_samples) // TICK):
         while (chunk_v := more()) is not None and chunk_v.size:
@@ -164,7 +165,7 @@ def test_values_that_do_not_come_are_told_where_others_follow(stage_model, value
 
 def test_lower_amplifier_reaches_less(stage_model):
     wide, narrow = (plan_live(Publisher().live, BAND_HZ, AMPLITUDE_UM, 400, stage_model,
-                              voltage_range_v=(-20.0, highest_v)).range_um[1]
+                              stage=StageClock((-20.0, highest_v))).range_um[1]
                     for highest_v in (120.0, 60.0))
     assert narrow < wide - 20.0
 
@@ -193,5 +194,5 @@ def test_first_value_out_of_reach_is_taken_as_the_nearest_within(stage_model):
         plan.range_um[0], abs=0.5)
     with pytest.raises(ValueError, match="the model begins at -20 V, the amplifier at 0 V"):
         plan_live(publisher.live, BAND_HZ, AMPLITUDE_UM, 400, stage_model,
-                  voltage_range_v=(0.0, 120.0))
+                  stage=StageClock((0.0, 120.0)))
     assert issubclass(UnreachableReference, ValueError)

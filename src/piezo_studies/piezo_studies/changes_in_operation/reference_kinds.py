@@ -64,7 +64,4 @@ def plan_of(kind: str, model: StageModel, draw: int) -> FeedforwardPlan:
         period_um = reference.centre_um + fade * (period_um - reference.centre_um)
     else:
         period_um = sample_reference(reference, CLOCK.sample_rate_hz)
-    return plan_feedforward(
-        period_um, model, voltage_range_v=CLOCK.voltage_range_v,
-        slew_limit_v_per_s=CLOCK.slew_limit_v_per_s, sample_period_s=CLOCK.sample_period_s,
-        start_voltage_v=CLOCK.rest_voltage_v, duration_s=RUN_S)
+    return plan_feedforward(period_um, model, stage=CLOCK, duration_s=RUN_S)

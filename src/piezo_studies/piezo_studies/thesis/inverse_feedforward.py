@@ -4,6 +4,7 @@
 import numpy as np
 
 from piezo_common.picture_style import MODE_STYLES, REFERENCE, label, new_figure
+from piezo_controller.feedforward.approach import StageClock
 from piezo_controller.feedforward.periodic import plan_feedforward
 from piezo_controller.references.reference import Reference, sample_reference
 from piezo_models.measures import e_r_percent
@@ -77,7 +78,7 @@ def last_period_um(reference_um, mode, clock_hz):
     """Return the displacement in the last period of a run, about the mean of the reference."""
     periods = max(2, round(0.5 * clock_hz / reference_um.size))
     plan = plan_feedforward(
-        reference_um, identified_stage(), mode, sample_period_s=1.0 / clock_hz,
+        reference_um, identified_stage(), mode, stage=StageClock(sample_rate_hz=clock_hz),
         duration_s=periods * reference_um.size / clock_hz,
     )
     count = plan.once_voltage_v.size + periods * reference_um.size
