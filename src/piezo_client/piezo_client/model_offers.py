@@ -18,15 +18,10 @@ LATCHED_S = 2.0
 
 
 def monitor_follows(client: Client, from_s: float, to_s: float, wait_s: float) -> bool:
-    """Return whether the monitor has processed the stage up to a time of its sample clock.
+    """Return whether the monitor has processed the stage up to a time of its sample clock (s).
 
-    Parameters
-    ----------
-    from_s, to_s : float
-        Interval in s in which the time must lie: the monitor may still follow a previous stage,
-        which has another clock.
-    wait_s : float
-        Time to wait for the monitor's report in s.
+    The time must lie in an interval: the monitor may still follow a previous stage, which has
+    another clock. Its report is waited for some seconds.
     """
     def follows(messages: list[DiagnosticArray]) -> bool:
         until_s = [float(entry.value) for message in messages for status in message.status

@@ -33,16 +33,10 @@ def path(kind: str, rate_hz: float, size_um: float | Sequence[float],
          lines: int = 64) -> dict[str, Any]:
     """Return a path of several axes about the operating point of their model.
 
-    Parameters
-    ----------
-    kind : str
-        One of ``raster``, ``spiral``, ``lissajous``, ``rosette`` and ``cycloid``.
-    rate_hz : float
-        Lines or turns a second, as for `piezo_controller.axes.patterns.ScanPattern`.
-    size_um : float or sequence of two
-        Along the fast and the slow axis, or one size for both.
-    lines : int
-        Lines of a frame, turns or lobes.
+    The kind is ``raster``, ``spiral``, ``lissajous``, ``rosette`` or ``cycloid``. The rate is that
+    of lines or turns a second, as for `piezo_controller.axes.patterns.ScanPattern`; the size that
+    along the fast and the slow axis, or one for both; the lines are those of a frame, turns or
+    lobes.
     """
     sizes_um = np.atleast_1d(np.asarray(size_um, dtype=float)).tolist()
     return {"kind": kind, "frequency_hz": [float(rate_hz)], "amplitude_um": sizes_um,

@@ -44,7 +44,7 @@ LEARNED = "learned"
 
 
 class Stage:
-    """The nodes of one stage, driven by blocking calls; a context manager.
+    """The nodes of one stage, driven by blocking calls of its `client`; a context manager.
 
     Every call raises `piezo_client.client.GoalFailed` if it is rejected or fails, with the message
     of the node, and leaves the stage at rest. Ctrl-C also leaves it at rest.
@@ -56,11 +56,6 @@ class Stage:
         ``ProgressLine().show``.
     wait_s : float
         Time to look for any of the nodes in s.
-
-    Attributes
-    ----------
-    client : piezo_client.client.Client
-        The client that makes the calls.
     """
 
     def __init__(self, namespace: str = "",

@@ -165,26 +165,13 @@ def plan_path(path: ScanPath, model: CoupledModel | IdentifiedAxes,
               sensor_delay_s: ArrayLike | None = None) -> PathPlan:
     """Plan the voltages that make a model of several axes follow a periodic path.
 
-    Parameters
-    ----------
-    path : ScanPath
-        Path of some axes of the model, at its sample period.
-    voltage_range_v : (2,) or (n, 2) array_like, optional
-        Lowest and highest voltage, of all axes or of each; by default those of the identification,
-        and no limit of a model that knows none.
-    slew_limit_v_per_s : float
-    gain_limit : float
-        See `invert_path`.
-    sensor_delay_s : (n,) array_like, optional
-        By how much the reading of each axis is late; that of the model by default.
+    The path is one of some axes of the model, at its sample period. The voltage range, of all axes
+    or of each, (2,) or (n, 2), is by default that of the identification; a model that knows none
+    has no limit. The delay by which the reading of each axis is late, (n,), is by default that of
+    the model.
 
-    Raises
-    ------
-    UnreachablePath
-        If a voltage would leave its range or change too fast; names the largest size and rate that
-        are in reach.
-    InvalidReference
-        If the path does not fit the model.
+    Raises `UnreachablePath`, which names the largest size and rate in reach, if a voltage would
+    leave its range or change too fast, and `InvalidReference` if the path does not fit the model.
     """
     coupled = model.model if isinstance(model, IdentifiedAxes) else model
     n = len(coupled.axes)

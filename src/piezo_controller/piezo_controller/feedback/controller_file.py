@@ -106,11 +106,8 @@ def save_controller(path: str | Path, controller: FeedbackController) -> None:
 def load_controller(path: str | PathLike[str]) -> FeedbackController:
     """Read a controller file.
 
-    Raises
-    ------
-    ControllerFileError
-        If the file is missing, is not a controller file of this version, or has a missing,
-        unknown or invalid field.
+    Raises `ControllerFileError` if it is missing, is not a controller file of this version, or has
+    a missing, unknown or invalid field.
 
     Examples
     --------

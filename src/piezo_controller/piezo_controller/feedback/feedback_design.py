@@ -120,12 +120,11 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
         ultimate gain of the linear dynamics, corrected for the hysteresis.
     scaling : str
         ``constant`` or ``dynamic``: D of the D-K iteration.
-    at_once : bool
-        For a loop without averaging and computing time, see `design_plant`.
+    at_once, delay_ticks
+        Loop without averaging and computing time; ticks of computing time, 1 for PID. See
+        `design_plant`.
     reduce : bool
         Whether to lower the order if that costs next to nothing.
-    delay_ticks : int
-        Ticks of computing time, see `design_plant`; 1 for PID.
 
     Returns
     -------
@@ -138,12 +137,10 @@ def design_feedback(model: StageModel, weights: DesignWeights, clock_period_s: f
 
     Raises
     ------
-    NoController
-        If the weights cannot be satisfied.
-    NoOscillation
-        If the model has no ultimate gain.
+    NoController, NoOscillation
+        If the weights cannot be satisfied; if the model has no ultimate gain.
     UnstableLoop
-        If the rules of Ziegler and Nichols give an unstable loop.
+        If the loop is unstable at a gain of the hysteresis.
     ValueError
         If `method` or `scaling` is unknown.
     """

@@ -48,17 +48,13 @@ def measure_loop(plant: control.StateSpace, controller: control.StateSpace,
                  gain_spread: float) -> dict[str, float | None]:
     """Measure a closed loop, in which the plant's output is fed back negatively to the controller.
 
-    The plant's gain may lie within ``1 +- gain_spread`` of its nominal value.
-
-    Returns
-    -------
-    dict
-        ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``crossover_hz`` (where the
-        open loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``,
-        ``gain_margin`` and ``phase_margin_deg`` with ``_at_lowest_gain`` and
-        ``_at_highest_gain``, ``settling_to_5_percent_s`` (after a step disturbance of the output),
-        ``stable_within_gain_spread``. None if the loop has no such value: it crosses nothing from
-        0.1 Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
+    The plant's gain may lie within ``1 +- gain_spread`` of its nominal value. Measured are
+    ``bandwidth_hz`` (where the sensitivity first reaches -3 dB), ``crossover_hz`` (where the open
+    loop first falls to 1), ``peak_sensitivity`` and its ``peak_frequency_hz``, ``gain_margin`` and
+    ``phase_margin_deg`` with ``_at_lowest_gain`` and ``_at_highest_gain``,
+    ``settling_to_5_percent_s`` (after a step disturbance of the output), and
+    ``stable_within_gain_spread``. None if the loop has no such value: it crosses nothing from 0.1
+    Hz on, or has not settled after `LONGEST_SETTLING_TICKS`.
     """
     frequency_hz = _frequencies(plant.dt)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
@@ -92,14 +88,11 @@ def measure_axes_loop(plant: control.StateSpace, controller: control.StateSpace,
                       axes: tuple[str, ...]) -> dict[str, Any]:
     """Measure the closed loop of several axes.
 
-    Returns
-    -------
-    dict
-        ``bandwidth_hz`` (where the largest singular value of the sensitivity first reaches -3 dB),
-        ``bandwidth_hz_of_axis`` (where the sensitivity of each axis to its own disturbance does),
-        ``peak_sensitivity`` (the largest singular value) and its ``peak_frequency_hz``; and what
-        this peak guarantees, with gains or phases that change independently at the sensors:
-        ``gain_margin`` and ``phase_margin_deg``.
+    Measured are ``bandwidth_hz`` (where the largest singular value of the sensitivity first reaches
+    -3 dB), ``bandwidth_hz_of_axis`` (where the sensitivity of each axis to its own disturbance
+    does), ``peak_sensitivity`` (the largest singular value) and its ``peak_frequency_hz``; and what
+    this peak guarantees, with gains or phases that change independently at the sensors:
+    ``gain_margin`` and ``phase_margin_deg``.
     """
     frequency_hz = _frequencies(plant.dt)
     sensitivity = sensitivity_of_axes(plant, controller, frequency_hz)

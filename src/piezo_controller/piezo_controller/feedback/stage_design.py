@@ -139,21 +139,9 @@ def design_for_stage(
 ) -> StageDesign:
     """Choose the rate of the feedback by the rules, then design it; see `design_feedback`.
 
-    Parameters
-    ----------
-    weights : str or Path
-        "default", "thesis", or a file (YAML); used by `h_infinity` only.
-    disturbance_hz : float
-        Bandwidth of the disturbances (Hz).
-    samples_per_tick : int, optional
-        Feedback period in samples; chosen by the rules (5.10) by default.
-    sample_rate_hz : float
-        Rate of the stage's sample clock (Hz).
-
-    Raises
-    ------
-    ValueError
-        See `design_feedback`; also if the model has no dynamics, or the weights cannot be read.
+    The weights, "default", "thesis", or a file (YAML), are those of `h_infinity`. The rules (5.10)
+    choose the feedback period in samples, unless it is given. Raises ValueError as
+    `design_feedback`, and if the model has no dynamics, or the weights cannot be read.
     """
     check_choices(method, scaling)
     if model.linear().nstates <= len(model.creep.poles_rad_per_s):

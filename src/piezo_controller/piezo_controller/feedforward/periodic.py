@@ -48,17 +48,10 @@ CORRECTIONS = 2
 class FeedforwardPlan(TrackingPlan):
     """Voltage to play and displacement to expect, sample by sample.
 
-    Attributes
-    ----------
-    once_voltage_v, reference_once_um : ndarray, shape (n,)
-        Played first: from the start voltage down to the model's lowest voltage, which erases the
-        memory of the hysteresis, then up to the reference's centre, with the reference faded in.
-    period_voltage_v, reference_period_um : ndarray, shape (m,)
-        Repeated after that.
-    begin_sample : int
-        Sample at which the periodic part begins.
-    uncompensated : tuple of str
-        Effects of the model that have causes outside the stage, and remain in the error.
+    The first voltages and displacements, (n,), are those from the start voltage down to the model's
+    lowest voltage, which erases the memory of the hysteresis, then up to the reference's centre,
+    with the reference faded in. The periods, (m,), are repeated after that, from `begin_sample` on.
+    Effects that are not compensated have causes outside the stage.
     """
 
     once_voltage_v: FloatArray
@@ -104,8 +97,6 @@ def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "fe
         mean, and compensates nothing.
     duration_s : float
         Duration of the periodic part (s).
-    watch : callable, optional
-        Called from time to time with the fraction done; may raise.
 
     Raises
     ------

@@ -159,24 +159,13 @@ def plan_stream(reference: Trajectory, samples: int, model: StageModel,
                 watch: Watch | None = None) -> StreamPlan:
     """Plan the voltage that makes a model at rest follow any reference, with a short preview.
 
-    The first `CHECKED_S` are computed in advance to check the limits, and the extremes of the whole
-    reference are checked. The remainder is checked chunk by chunk.
+    The reference is faded in from `approach_samples` before its beginning, and inverted by a method
+    of `preview_inverse`. The first `CHECKED_S` are computed in advance to check the limits, and the
+    extremes of the whole reference are checked. The remainder is checked chunk by chunk.
 
-    Parameters
-    ----------
-    reference : Trajectory
-        Displacement; it is faded in from `approach_samples` before its beginning.
-    samples : int
-        Number of samples that are played.
-    method : str
-        Method of `preview_inverse`.
-
-    Raises
-    ------
-    UnreachableReference
-        If the voltage would leave the range or exceed the slew limit; names what is reachable.
-    ValueError
-        If the model's range does not fit the amplifier's, or `method` does not suit the model.
+    Raises `UnreachableReference`, which names what is reachable, if the voltage would leave the
+    range or exceed the slew limit, and ValueError if the model's range does not fit the
+    amplifier's, or the method does not suit the model.
     """
     check_amplifier_range(model.hysteresis, stage)
     planner = StreamPlanner(

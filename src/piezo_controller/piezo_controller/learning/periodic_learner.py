@@ -57,26 +57,14 @@ class Measured:
 
 
 class PeriodicLearner:
-    """Corrects a periodic reference iteration by iteration.
+    """Corrects a periodic reference, one period of which is given, iteration by iteration.
 
-    Parameters
-    ----------
-    reference_um : (P,) array
-        One period of the reference.
-    response : callable
-        Expected response from a correction to the displacement, complex, at frequencies in Hz:
-        the sensitivity of the feedback, if there is one.
-    effort : callable
-        Expected magnitude of the input per unit of displacement, at frequencies in Hz.
-    correction_um : (P,) array, optional
-        Initial correction.
+    The expected response from a correction to the displacement, complex, at frequencies in Hz, is
+    the sensitivity of the feedback, if there is one. The effort is the expected magnitude of the
+    input per unit of displacement there. The correction, (P,), may begin with an earlier one.
 
-    Attributes
-    ----------
-    iterations : int
-        Number of iterations that were measured.
-    finished : str
-        Why the learning has ended; empty while it continues.
+    `iterations` is the number of those that were measured, `finished` tells why the learning has
+    ended, and is empty while it continues.
     """
 
     def __init__(self, reference_um: ArrayLike, response: Callable[[FloatArray], ComplexArray],

@@ -23,23 +23,15 @@ FEEDBACK_METHODS = {"pid": "pid", "pi": "pi", "composite": "h_infinity",
 
 def plan_mode(mode: str, reference: Reference, model: StageModel, stage: StageClock,
               duration_s: float, watch: Watch | None = None) -> FeedforwardPlan:
-    """Plan the voltages that the stage plays in a mode, whose periodic part lasts for a duration.
+    """Plan the voltages that the stage plays in one of `MODES`, whose periodic part has a duration.
 
-    Parameters
-    ----------
-    mode : str
-        One of `MODES`. ``pid`` and ``pi`` hold the voltage of the reference's mean, and the rest
-        comes from the feedback. ``composite_single_rate`` updates the feedforward once per tick,
-        as often as the feedback. ``learning`` begins with the feedforward.
+    ``pid`` and ``pi`` hold the voltage of the reference's mean, and the rest comes from the
+    feedback. ``composite_single_rate`` updates the feedforward once per tick, as often as the
+    feedback. ``learning`` begins with the feedforward.
 
-    Raises
-    ------
-    InvalidReference
-        If the reference has no period of whole samples, or of whole ticks at a single rate.
-    UnreachableReference
-        If the voltage would exceed the limits, see `plan_feedforward`.
-    ValueError
-        If the mode is unknown.
+    Raises `InvalidReference` if the reference has no period of whole samples, or of whole ticks at
+    a single rate, `UnreachableReference` if the voltage would exceed the limits, see
+    `plan_feedforward`, and ValueError if the mode is unknown.
     """
     if mode not in MODES:
         raise ValueError(f"unknown mode {mode!r}: use one of {', '.join(MODES)}")

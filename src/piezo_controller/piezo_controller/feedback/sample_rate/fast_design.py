@@ -28,29 +28,12 @@ METHOD = "fixed_order_resonant"
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
                           clock_period_s: float = 25e-6, effort: float = 1.0,
                           seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
-    """Design a feedback that answers every sample.
+    """Design a feedback that answers every sample, for a model with a mode and no antiresonances.
 
-    Parameters
-    ----------
-    model : piezo_models.cascade.StageModel
-        Model with a mode, and without antiresonances.
-    effort : float
-        Factor on the number of controllers that are tried.
-    delay_ticks : int
-        Computing time in samples: 0 if the stage evaluates the feedback by itself, so that a
-        sample is answered by the next one; 1 if it is answered one sample later.
-
-    Returns
-    -------
-    FeedbackController
-        Its period is `clock_period_s`; see `measured_design` for its report.
-
-    Raises
-    ------
-    UnstableLoop
-        If no controller was found that is stable with every stage.
-    ValueError
-        If the model has no mode or has antiresonances.
+    It answers a sample by the next one, as a stage that evaluates it by itself. The effort is a
+    factor on the number of controllers that are tried. For the report see `measured_design`. Raises
+    `UnstableLoop` if no controller was found that is stable with every stage, and ValueError for
+    another model.
     """
     check_modes(model)
     demands = demands or Demands()

@@ -73,19 +73,12 @@ def generalised_plant(plant: control.StateSpace, hysteresis_gain_um_per_v: float
     There are two complex uncertainties of at most 1 for each axis: the hysteresis' gain differs
     from its nominal value by ``w_u`` times the first, and the feedforward has an error of
     ``w_delta`` times the second, relative to the reference (5.12). The performance is one more
-    block.
+    block. Plant and gain are the results of `design_plant`; the plant has as many inputs as
+    outputs.
 
-    Parameters
-    ----------
-    plant, hysteresis_gain_um_per_v
-        Results of `design_plant`; the plant has as many inputs as outputs.
-
-    Returns
-    -------
-    control.StateSpace
-        Inputs: outputs of the uncertainties, reference, disturbance, noise, control. Outputs:
-        inputs of the uncertainties, weighted error, weighted control, measured error. Each has
-        an element for each axis.
+    The inputs are the outputs of the uncertainties, reference, disturbance, noise and control, the
+    outputs the inputs of the uncertainties, weighted error, weighted control and measured error.
+    Each has an element for each axis.
     """
     dt, axes = plant.dt, plant.ninputs
 
