@@ -67,7 +67,7 @@ def _problem(kind: str, context: Mapping[str, Any], found: object, renew: str) -
         wanted = KINDS_OF_VALUE[kind]
         return f"is not {wanted} (found {quoted(found)})", f"give {wanted}"
     for name, relation in (("gt", "a number above"), ("ge", "a number from"),
-                           ("lt", "a number below"), ("le", "a number up to")):
+                           ("le", "a number up to")):
         if name in context:
             limit = f"{relation} {context[name]:g}"
             return f"is out of range (found {quoted(found)})", f"give {limit}"

@@ -103,8 +103,7 @@ class Document(Part):
 
 def entry(meaning: str, *, unit: str = "", default: Any = ..., above: float | None = None,
           at_least: float | None = None, at_most: float | None = None,
-          below: float | None = None, shortest: int | None = None,
-          longest: int | None = None) -> Any:
+          shortest: int | None = None, longest: int | None = None) -> Any:
     """Declare a field of a part with its meaning, unit and range.
 
     The meaning is for the table of fields in the documentation. The unit and the range are those of
@@ -112,4 +111,4 @@ def entry(meaning: str, *, unit: str = "", default: Any = ..., above: float | No
     field optional.
     """
     return Field(default, description=meaning, json_schema_extra={"unit": unit}, gt=above,
-                 ge=at_least, le=at_most, lt=below, min_length=shortest, max_length=longest)
+                 ge=at_least, le=at_most, min_length=shortest, max_length=longest)

@@ -40,6 +40,7 @@ REPORT_ROWS = (
 
 LOWEST_HZ = 0.1
 POINTS = 2000
+CLOCK_PERIOD_S = 25e-6
 
 
 def text_of_controller(controller: "FeedbackController") -> str:
@@ -70,14 +71,13 @@ def summary_of_controller(controller: "FeedbackController") -> SummaryTable:
     return SummaryTable("Feedback controller", ("", "value", "unit"), rows)
 
 
-def draw_controller(controller: "FeedbackController", model: "StageModel | None" = None,
-                    clock_period_s: float = 25e-6) -> "Figure":
+def draw_controller(controller: "FeedbackController",
+                    model: "StageModel | None" = None) -> "Figure":
     """Draw the gain and phase of a controller, or the loop that it closes around a model.
 
     The loop is drawn as open loop, sensitivity and Nyquist diagram.
     """
-    return _draw_response(controller) if model is None else _draw_loop(
-        controller, model, clock_period_s)
+    return _draw_response(controller) if model is None else _draw_loop(controller, model)
 
 
 def _draw_response(controller: "FeedbackController") -> "Figure":
@@ -95,8 +95,7 @@ def _draw_response(controller: "FeedbackController") -> "Figure":
     return figure
 
 
-def _draw_loop(controller: "FeedbackController", model: "StageModel",
-               clock_period_s: float) -> "Figure":
+def _draw_loop(controller: "FeedbackController", model: "StageModel") -> "Figure":
     from piezo_common.picture_style import CURVES, WIDE_IN, label, new_figure
     from piezo_controller.feedback.loop_measures import loop_responses
     from piezo_controller.feedback.loop_pictures import nyquist_on
@@ -106,7 +105,7 @@ def _draw_loop(controller: "FeedbackController", model: "StageModel",
     )
 
     plant, gain_um_per_v = design_plant(
-        model, controller.sample_period_s, clock_period_s,
+        model, controller.sample_period_s, CLOCK_PERIOD_S,
         bool(controller.report.get("at_once", False)), controller.delay_ticks)
     system, plant = controller.state_space(), gain_um_per_v * plant
     frequency_hz = _frequencies(system)

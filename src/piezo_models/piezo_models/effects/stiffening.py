@@ -57,23 +57,16 @@ class Stiffening(Effect):
     def _parts(self) -> tuple[float, float, float, float]:
         return self.linear_um, self.square_um, self.cubic_um, self.quartic_um
 
-    def yields(self, signal: FloatArray, sample_period_s: float,
-               rest: float | None = None) -> FloatArray:
+    def yields(self, signal: FloatArray, sample_period_s: float) -> FloatArray:
         """Return what each part of 1 um at the ends removes from a displacement, shape (N, 4)."""
-        def forces(level: FloatArray) -> FloatArray:
-            x = np.clip((level - self.centre_um) / self.half_range_um, -FARTHEST, FARTHEST)
-            return np.column_stack([x, x**2, x**3, x**4])
-
-        parts = forces(signal)
+        x = np.clip((signal - self.centre_um) / self.half_range_um, -FARTHEST, FARTHEST)
+        parts = np.column_stack([x, x**2, x**3, x**4])
         if self.frequency_rad_per_s == 0.0:
             return parts
         w = self.frequency_rad_per_s
-        before = forces(np.array([signal[0] if rest is None else rest]))[0]
         return np.column_stack([
-            filtered([w * w], [1.0, 2.0 * self.damping_ratio * w, w * w], part, sample_period_s,
-                     level)
-            for part, level in zip(parts.T, before, strict=True)
-        ])
+            filtered([w * w], [1.0, 2.0 * self.damping_ratio * w, w * w], part, sample_period_s)
+            for part in parts.T])
 
     def _damped(self, signal: FloatArray, sample_period_s: float) -> FloatArray:
         """Return what an additional damping of 1 removes, shape (N, 1); (N, 0) without a mode."""

@@ -45,10 +45,10 @@ class Demands:
     model."""
 
     def loops(self, model: StageModel, clock_period_s: float,
-              delay_ticks: int = 0, coarse: int = COARSE) -> PerturbedLoops:
+              coarse: int = COARSE) -> PerturbedLoops:
         """Return the stages of a model that must meet the requirements; see `PerturbedLoops`."""
         return PerturbedLoops(model, self.errors, clock_period_s, self.disturbance_hz,
-                              self.disturbance_tolerance, delay_ticks, coarse)
+                              self.disturbance_tolerance, delay_ticks=0, coarse=coarse)
 
     def margin_db(self, figures: LoopFigures, first_mode_hz: float) -> float:
         """Return by how much the least margin exceeds the requirement; negative if it does not."""

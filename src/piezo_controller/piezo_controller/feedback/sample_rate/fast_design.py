@@ -26,8 +26,8 @@ METHOD = "fixed_order_resonant"
 
 
 def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
-                          clock_period_s: float = 25e-6, effort: float = 1.0,
-                          seed: int = 0, delay_ticks: int = 0) -> FeedbackController:
+                          clock_period_s: float = 25e-6,
+                          effort: float = 1.0) -> FeedbackController:
     """Design a feedback that answers every sample, for a model with a mode and no antiresonances.
 
     It answers a sample by the next one, as a stage that evaluates it by itself. The effort is a
@@ -37,11 +37,11 @@ def design_at_sample_rate(model: StageModel, demands: Demands | None = None,
     """
     check_modes(model)
     demands = demands or Demands()
-    loops = demands.loops(model, clock_period_s, delay_ticks)
+    loops = demands.loops(model, clock_period_s)
     family = tuned_family(model, demands, clock_period_s)
-    numbers = family.search(loops, demands, effort, seed)
+    numbers = family.search(loops, demands, effort)
     return measured_design(family.controller(numbers), model, demands, loops, METHOD,
-                           family.report(numbers), delay_ticks=delay_ticks)
+                           family.report(numbers))
 
 
 def check_modes(model: StageModel) -> None:
@@ -53,7 +53,7 @@ def check_modes(model: StageModel) -> None:
 
 def measured_design(controller: control.StateSpace, model: StageModel, demands: Demands,
                     loops: PerturbedLoops, method: str, own: Mapping[str, Any],
-                    model_sha256: str = "", delay_ticks: int = 0) -> FeedbackController:
+                    model_sha256: str = "") -> FeedbackController:
     """Return a controller at the rate of the sample clock, with its performance in its report.
 
     In addition to what `feedback_from_control` reports, its report holds ``demands``, ``figures``
@@ -66,7 +66,7 @@ def measured_design(controller: control.StateSpace, model: StageModel, demands: 
             f"no controller of the method {method} was found that is stable with all "
             f"{len(loops.plants)} stages: lower the errors or the demands, or raise the effort")
     designed = feedback_from_control(
-        controller, model, controller.dt, model_sha256, method, delay_ticks)
+        controller, model, controller.dt, model_sha256, method, delay_ticks=0)
     first_mode_hz = min(model.dynamics.mode_frequencies_rad_per_s) / (2 * np.pi)
     noise_um = demands.sensor_noise_um
     return replace(designed, report={
