@@ -7,33 +7,45 @@ import pytest
 
 from piezo_ros.responses import ATTEMPTS, RCLError, answered_again, sent_again
 
-WARNING = "failed to send response (timeout): client will not receive response"
+
+def warn_as_services_do():
+    warnings.warn("failed to send response (timeout): client will not receive response",
+                  RuntimeWarning, stacklevel=1)
 
 
-def service_that_is_not_ready(attempts):
-    sent = []
+def raise_as_actions_do():
+    raise RCLError("failed to send goal response", "timeout")
 
-    def send(service, response, header):
-        sent.append((service, response, header))
-        if len(sent) <= attempts:
-            warnings.warn(WARNING, RuntimeWarning, stacklevel=1)
 
-    return sent, send
+@pytest.fixture(params=[(sent_again, warn_as_services_do), (answered_again, raise_as_actions_do)],
+                ids=["service", "action"])
+def send(request):
+    """Send a response to a client that is not known in the first attempts; return these."""
+    again, fail = request.param
+
+    def send(attempts):
+        sent = []
+
+        def send_once(*arguments):
+            sent.append(arguments)
+            if len(sent) <= attempts:
+                fail()
+
+        again(send_once)("server", "first", "second")
+        return sent
+
+    return send
 
 
 @pytest.mark.parametrize("attempts", [0, 1, 5])
-def test_a_response_is_sent_until_the_client_is_known(attempts, recwarn):
-    sent, send = service_that_is_not_ready(attempts)
-    sent_again(send)("service", "response", "header")
-    assert sent == [("service", "response", "header")] * (attempts + 1)
+def test_a_response_is_sent_until_the_client_is_known(send, attempts, recwarn):
+    assert send(attempts) == [("server", "first", "second")] * (attempts + 1)
     assert not [each for each in recwarn if each.category is RuntimeWarning]
 
 
-def test_a_client_that_never_comes_is_given_up_with_the_warning():
-    sent, send = service_that_is_not_ready(1000)
-    with pytest.warns(RuntimeWarning, match="client will not receive response"):
-        sent_again(send)("service", "response", "header")
-    assert len(sent) == ATTEMPTS
+def test_a_client_that_never_comes_is_given_up_with_a_warning(send):
+    with pytest.warns(RuntimeWarning, match="client will not receive"):
+        assert len(send(1000)) == ATTEMPTS
 
 
 def test_other_warnings_are_passed_on():
@@ -42,29 +54,3 @@ def test_other_warnings_are_passed_on():
 
     with pytest.warns(UserWarning, match="something else"):
         sent_again(send)("service", "response", "header")
-
-
-def server_that_is_not_ready(attempts):
-    sent = []
-
-    def send(server, header, response):
-        sent.append((server, header, response))
-        if len(sent) <= attempts:
-            raise RCLError("Failed to send goal response", "client will not receive response")
-
-    return sent, send
-
-
-@pytest.mark.parametrize("attempts", [0, 1, 5])
-def test_an_answer_for_an_action_is_sent_until_the_client_is_known(attempts, recwarn):
-    sent, send = server_that_is_not_ready(attempts)
-    answered_again(send)("server", "header", "response")
-    assert sent == [("server", "header", "response")] * (attempts + 1)
-    assert not [each for each in recwarn if each.category is RuntimeWarning]
-
-
-def test_a_goal_whose_answer_reaches_nobody_goes_on_with_a_warning():
-    sent, send = server_that_is_not_ready(1000)
-    with pytest.warns(RuntimeWarning, match="the client will not receive it"):
-        answered_again(send)("server", "header", "response")
-    assert len(sent) == ATTEMPTS

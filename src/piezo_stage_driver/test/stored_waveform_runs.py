@@ -2,9 +2,12 @@
 """What the tests of backends with a waveform memory share."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import yaml
+from commands_by_name import command
 
 from piezo_stage_driver.backends.pi_gcs_stage import PiAxis
 from piezo_stage_driver.backends.registry import BackendSettings
@@ -12,6 +15,7 @@ from piezo_stage_driver.engine.blocks import FLAG_PLAYING
 from piezo_stage_driver.engine.stage_engine import StageEngine
 from piezo_stage_driver.safety.guards import SensorRange
 from piezo_stage_driver.safety.limits import AxesLimits, VoltageLimits
+from piezo_stage_driver.safety.supervisor import StageSupervisor
 
 CONFIG = Path(__file__).parents[1] / "config"
 RATE_HZ = 2000.0
@@ -43,9 +47,9 @@ def pi_axes(**changes_of_y):
     return {**shared, "axes": {"x": x, "y": {**y, **changes_of_y}}}
 
 
-def engine_of(backend):
+def engine_of(backend, latch=None):
     return StageEngine(backend, VoltageLimits(-20.0, 100.0, 2.0e6), samples_per_tick=10,
-                       longest_stretch_samples=10)
+                       longest_stretch_samples=10, latch=latch)
 
 
 def axes_engine_of(backend, latch=None):
@@ -55,6 +59,27 @@ def axes_engine_of(backend, latch=None):
                              "y": VoltageLimits(0.0, 50.0, 2.0e6)}),
         REST_V, RAMP_V_PER_S, samples_per_tick=10, longest_stretch_samples=10, latch=latch,
         sensor_guards={axis: (SensorRange(-30.0, 110.0),) for axis in ("x", "y")})
+
+
+def supervised(stage, make_engine, voltage_v):
+    """Return a supervisor whose stage is to play a waveform, and the ends of that goal."""
+    supervisor = StageSupervisor(stage, make_engine, closing_ticks=stage.lead_samples // 10 + 1)
+    supervisor.activate()
+    ends = []
+    supervisor.submit(command(
+        "play", np.ravel(voltage_v), 1.0 / RATE_HZ, 1, False, "", stage.axes,
+        on_done=lambda *answer: None,
+        goal=SimpleNamespace(cancelled=False, attend=lambda engine: None,
+                             end=lambda *end: ends.append(end))))
+    return supervisor, ends
+
+
+def assert_refused(module, document, path, sentence):
+    """Create a backend from impossible settings, which is refused in one sentence."""
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(ValueError, match=sentence) as failure:
+        module.create(settings(file=str(path)))
+    assert str(failure.value).startswith(str(path)) and "\n" not in str(failure.value)
 
 
 def played(engine, voltage_v):

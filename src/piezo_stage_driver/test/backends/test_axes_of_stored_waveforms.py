@@ -1,24 +1,22 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Two axes of one controller with a waveform memory, which is a stand-in."""
 
-from types import SimpleNamespace
-
 import gcs_stand_in
 import numpy as np
 import pytest
-import yaml
-from commands_by_name import command
 from stored_waveform_runs import (
     BOTH_V,
     LONGEST,
     RAMP_V_PER_S,
     RATE_HZ,
     REST_V,
+    assert_refused,
     axes_engine_of,
     of_y,
     pi_axes,
     played,
     settings,
+    supervised,
 )
 
 from piezo_common.schema import checked
@@ -28,7 +26,6 @@ from piezo_stage_driver.backends.pi_gcs_stage import PiAxesSettings, PiControlle
 from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
 from piezo_stage_driver.engine.program import StageRefusal
 from piezo_stage_driver.safety.limits import LimitError
-from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
 
 
@@ -112,21 +109,9 @@ def test_axis_that_moves_while_it_should_rest_stops_both(controller, stage):
     assert np.allclose(controller.held[:2], REST_V)
 
 
-def supervised(stage):
-    supervisor = StageSupervisor(stage, axes_engine_of, closing_ticks=stage.lead_samples // 10 + 1)
-    supervisor.activate()
-    ends = []
-    supervisor.submit(command(
-        "play", BOTH_V.ravel(), 1.0 / RATE_HZ, 1, False, "", ("x", "y"),
-        on_done=lambda *answer: None,
-        goal=SimpleNamespace(cancelled=False, attend=lambda engine: None,
-                             end=lambda *end: ends.append(end))))
-    return supervisor, ends
-
-
 def test_stop_while_they_play_halts_both_and_ramps_both(controller, monkeypatch):
     monkeypatch.setattr(gcs_stand_in, "CYCLES_PER_QUESTION", 1000)
-    supervisor, ends = supervised(stage_of(controller))
+    supervisor, ends = supervised(stage_of(controller), axes_engine_of, BOTH_V)
 
     def press(seconds):
         if controller.running and controller.played > 200:
@@ -144,7 +129,7 @@ def test_stop_while_they_play_halts_both_and_ramps_both(controller, monkeypatch)
 @pytest.mark.parametrize(("column", "axis"), [(0, "x"), (1, "y")])
 def test_lost_sensor_of_one_axis_stops_both_with_its_name(controller, monkeypatch, column, axis):
     monkeypatch.setattr(gcs_stand_in, "CYCLES_PER_QUESTION", 1000)
-    supervisor, ends = supervised(stage_of(controller))
+    supervisor, ends = supervised(stage_of(controller), axes_engine_of, BOTH_V)
     lost = np.where(np.arange(3) == column, 1e3, controller.um_per_v)
 
     def lose(seconds):
@@ -210,8 +195,4 @@ def without_generator(document):
 def test_impossible_settings_of_axes_are_refused_in_one_sentence(tmp_path, spoil, sentence):
     document = pi_axes()
     spoil(document)
-    path = tmp_path / "settings.yaml"
-    path.write_text(yaml.safe_dump(document))
-    with pytest.raises(ValueError, match=sentence) as failure:
-        pi_gcs_stage.create(settings(file=str(path)))
-    assert str(failure.value).startswith(str(path)) and "\n" not in str(failure.value)
+    assert_refused(pi_gcs_stage, document, tmp_path / "settings.yaml", sentence)

@@ -3,7 +3,6 @@
 
 import sys
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import gcs_stand_in
@@ -11,8 +10,17 @@ import numpy as np
 import nv200_stand_in
 import pytest
 import yaml
-from commands_by_name import command
-from stored_waveform_runs import CONFIG, LONGEST, RATE_HZ, WAVE_V, engine_of, played, settings
+from stored_waveform_runs import (
+    CONFIG,
+    LONGEST,
+    RATE_HZ,
+    WAVE_V,
+    assert_refused,
+    engine_of,
+    played,
+    settings,
+    supervised,
+)
 
 from piezo_common.schema import load_document
 from piezo_stage_driver.backends import nv200_stage, pi_gcs_stage, stored_waveforms
@@ -21,9 +29,6 @@ from piezo_stage_driver.backends.nv200_stage import Nv200, Nv200Settings
 from piezo_stage_driver.backends.pi_gcs_stage import PiController, PiSettings
 from piezo_stage_driver.backends.stored_waveforms import StoredWaveformStage
 from piezo_stage_driver.engine.program import StageRefusal
-from piezo_stage_driver.engine.stage_engine import StageEngine
-from piezo_stage_driver.safety.limits import VoltageLimits
-from piezo_stage_driver.safety.supervisor import StageSupervisor
 from piezo_stage_driver.safety.transitions import State
 
 
@@ -145,24 +150,8 @@ def test_longest_waveform_is_within_what_the_node_waits(kind):
         stage_of(kind, exchange_timeout_s=2.0)
 
 
-def supervised(kind):
-    stage = stage_of(kind)
-    supervisor = StageSupervisor(
-        stage, lambda backend, latch: StageEngine(
-            backend, VoltageLimits(-20.0, 100.0, 2.0e6), samples_per_tick=10, latch=latch,
-            longest_stretch_samples=10),
-        closing_ticks=stage.lead_samples // 10 + 1)
-    supervisor.activate()
-    ends = []
-    supervisor.submit(command(
-        "play", WAVE_V, 1.0 / RATE_HZ, on_done=lambda *answer: None,
-        goal=SimpleNamespace(cancelled=False, attend=lambda engine: None,
-                             end=lambda *end: ends.append(end))))
-    return supervisor, ends
-
-
 def test_goal_ends_once_the_instrument_has_played_it(kind):
-    supervisor, ends = supervised(kind)
+    supervisor, ends = supervised(stage_of(kind), engine_of, WAVE_V)
     while not ends:
         assert supervisor.active
         supervisor.tick()
@@ -171,7 +160,7 @@ def test_goal_ends_once_the_instrument_has_played_it(kind):
 
 
 def test_stop_before_the_waveform_began_plays_nothing(kind):
-    supervisor, _ = supervised(kind)
+    supervisor, _ = supervised(stage_of(kind), engine_of, WAVE_V)
     for _ in range(20):
         supervisor.tick()
     before = list(kind.device.sent_v)
@@ -189,7 +178,7 @@ def test_stop_before_the_waveform_began_plays_nothing(kind):
 def test_stop_while_it_plays_ends_at_rest_by_a_ramp(kind, monkeypatch):
     monkeypatch.setattr(gcs_stand_in, "CYCLES_PER_QUESTION", 1000)
     monkeypatch.setattr(nv200_stand_in, "STEPS_PER_QUESTION", 1000)
-    supervisor, ends = supervised(kind)
+    supervisor, ends = supervised(stage_of(kind), engine_of, WAVE_V)
 
     def press(seconds):
         if kind.device.running and kind.device.played > 200:
@@ -259,12 +248,8 @@ def test_missing_library_and_missing_file_get_one_line(name, monkeypatch, make):
 ])
 def test_impossible_settings_are_refused_in_one_sentence(tmp_path, name, change, sentence):
     document = yaml.safe_load((CONFIG / f"{name}_settings.yaml").read_text())
-    path = tmp_path / "settings.yaml"
-    path.write_text(yaml.safe_dump({**document, **change}))
-    with pytest.raises(ValueError, match=sentence) as failure:
-        MAKERS[name]().module.create(settings(file=str(path)))
-    assert str(failure.value).startswith(str(path))
-    assert "\n" not in str(failure.value)
+    assert_refused(MAKERS[name]().module, {**document, **change}, tmp_path / "settings.yaml",
+                   sentence)
 
 
 def test_record_that_the_controller_cannot_hold_is_refused():
