@@ -22,8 +22,7 @@ from piezo_client import client as client_module
 from piezo_client.client import Client, GoalFailed, ServiceFailed
 from piezo_ros import deadlines
 from piezo_ros.deadlines import seconds_since, set_deadline, why_too_late
-from piezo_ros.impossible_transitions import answer_impossible_transitions
-from piezo_ros.late_responses import create_late_service
+from piezo_ros.late_responses import answer_impossible_transitions, create_late_service
 from piezo_ros.leaving import leave
 from piezo_ros.requests import calls, servers
 from piezo_ros.requests.calls import ActionCaller, CallFailed, call_service, number_request

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
+import sys
 from functools import partial, partialmethod
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +19,8 @@ from piezo_models.linear.dynamics import (
     continue_linear,
     zoh,
 )
+
+sys.path.insert(0, str(Path(__file__).parent / "axes"))  # the stand-in of a stage of two axes
 
 
 @pytest.fixture(scope="session")

@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Services that respond later than they are called, without blocking the executor."""
+"""Services that respond later than they are called, or refuse what they would fail to do."""
 
 import threading
 import time
 from collections.abc import Callable
 
+from lifecycle_msgs.srv import ChangeState
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.service import Service
 
 from piezo_ros.deadlines import seconds_since, why_too_late
 from piezo_ros.messages import Message, MessageType
+
+RCLError = rclpy_implementation.RCLError
 
 
 class LateResponse:
@@ -89,3 +93,38 @@ def create_late_service(node: Node, service_type: MessageType, name: str,
     # the header, which contains the time of the request.
     service.send_response = begin  # type: ignore[method-assign, assignment]
     return service
+
+
+def answer_impossible_transitions(node: Node) -> None:
+    """Make a node respond to an impossible ``change_state`` with false, and log the reason.
+
+    rclpy raises an error in the executor instead, which ends the node without a response. A request
+    that comes too late is rejected as well, as its client may have given it up. A node without a
+    lifecycle is not changed.
+    """
+    for service in node.services:
+        if service.srv_type is ChangeState:
+            _answer_all(node, service)
+
+
+def _answer_all(node: Node, service: Service) -> None:
+    change_state, send_response = service.callback, service.send_response
+
+    def answer(call: tuple[ChangeState.Request, ChangeState.Response], header: Message) -> None:
+        request, response = call
+        reason = why_too_late(request, seconds_since(header.source_timestamp))
+        try:
+            if not reason:
+                response = change_state(request, response)
+        except RCLError:
+            reason = ("it does not lead on from the present state; "
+                      "ask get_available_transitions which do")
+        if reason:
+            wanted = request.transition.label or request.transition.id
+            node.get_logger().warning(f"transition {wanted} refused: {reason}")
+            response.success = False
+        send_response(response, header)
+
+    # As in `create_late_service`.
+    service.callback = lambda *call: call  # type: ignore[assignment, return-value]
+    service.send_response = answer  # type: ignore[method-assign, assignment]

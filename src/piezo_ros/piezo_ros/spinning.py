@@ -20,7 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
-from piezo_ros.impossible_transitions import answer_impossible_transitions
+from piezo_ros.late_responses import answer_impossible_transitions
 from piezo_ros.leaving import leave
 from piezo_ros.memory_limit import end_before_stage, limit_memory
 from piezo_ros.parameters import declare

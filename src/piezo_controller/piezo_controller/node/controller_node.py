@@ -16,10 +16,9 @@ from rclpy.lifecycle import LifecycleNode
 
 from piezo_controller.axes.followed_scan import AxesStage
 from piezo_controller.feedback.synthesis.weights import BUILT_IN
-from piezo_controller.node.followed_reference import FollowedReference
 from piezo_controller.node.model_service import ModelService
 from piezo_controller.node.present_run import PresentRun
-from piezo_controller.node.reference_topic import ReferenceTopic
+from piezo_controller.node.reference_topic import FollowedReference, ReferenceTopic
 from piezo_controller.references.live_reference import TOPIC
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.accepted_models import ModelText

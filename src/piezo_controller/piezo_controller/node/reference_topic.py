@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topic ``reference``, on which other nodes publish what the stage shall follow."""
+"""The topics of references: published by others to be followed, and followed by a run."""
 
+import array
 import time
 from collections.abc import Callable
 
-from piezo_interfaces.msg import ReferenceSamples
+import numpy as np
+from builtin_interfaces.msg import Time
+from piezo_interfaces.msg import ReferenceSamples, SampleBlock, TrackedReference
 from rclpy.node import Node
 
+from piezo_common.arrays import FloatArray
 from piezo_controller.references.kind import InvalidReference
 from piezo_controller.references.live_reference import LiveReference
 from piezo_ros.quality import FEEDBACK
@@ -18,9 +22,12 @@ LOCKSTEP_PATIENCE_S = 5.0
 
 WARNING_PERIOD_S = 1.0
 
+SAMPLES_PER_MESSAGE = 4000
+"""One message per tick would take the loop as long as an answer does."""
+
 
 class ReferenceTopic:
-    """Pass on published values while a run follows them; `wake` is called when new ones come."""
+    """Pass on values of ``reference`` while a run follows them, and call `wake` for new ones."""
 
     def __init__(self, node: Node, wake: Callable[[], None]) -> None:
         self._node, self._wake = node, wake
@@ -65,3 +72,34 @@ class ReferenceTopic:
                                             throttle_duration_sec=WARNING_PERIOD_S)
         else:
             self._wake()
+
+
+class FollowedReference:
+    """Publish, on ``controller/reference``, the displacements to expect of measured samples."""
+
+    def __init__(self, node: Node) -> None:
+        self._publisher = node.create_publisher(TrackedReference, "controller/reference", FEEDBACK)
+        self._begin: tuple[int, float, Time] | None = None
+        self._parts: list[FloatArray] = []
+
+    def take(self, block: SampleBlock, expected_um: FloatArray) -> None:
+        """Add the expected displacements of a block; fewer than its samples at the end of a run."""
+        if not expected_um.size:
+            return
+        if self._begin is None:
+            self._begin = block.first_sample, block.sample_period_s, block.header.stamp
+        self._parts.append(expected_um)
+        if sum(part.size for part in self._parts) >= SAMPLES_PER_MESSAGE:
+            self.flush()
+
+    def flush(self) -> None:
+        """Publish what has not been published yet."""
+        if self._begin is None:
+            return
+        first_sample, sample_period_s, stamp = self._begin
+        message = TrackedReference(
+            first_sample=first_sample, sample_period_s=sample_period_s,
+            displacement_um=array.array("d", np.concatenate(self._parts).tobytes()))
+        message.header.stamp = stamp
+        self._publisher.publish(message)
+        self._begin, self._parts = None, []

@@ -23,9 +23,8 @@ from piezo_controller.references.kind import (
 from piezo_controller.references.random_trajectory import RandomKind
 from piezo_controller.references.raster import Raster
 from piezo_controller.references.reference_file import FileKind
-from piezo_controller.references.sines import HARMONIC, MULTI_FREQUENCY
+from piezo_controller.references.sines import HARMONIC, MULTI_FREQUENCY, TRIANGLE
 from piezo_controller.references.trajectory import Trajectory
-from piezo_controller.references.triangle import TRIANGLE
 
 __all__ = [
     "GROUP", "KINDS", "LONGEST_DURATION_S", "InvalidReference", "NoPeriod", "Reference",

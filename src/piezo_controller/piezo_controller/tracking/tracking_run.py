@@ -10,7 +10,6 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedforward.plan import TrackingPlan
 from piezo_controller.references.smooth_rise import smooth_rise
-from piezo_controller.tracking.answer_times import AnswerTimes
 from piezo_controller.tracking.feedbacks import Feedback
 from piezo_controller.tracking.foreseen import SHARE_AT_REST
 from piezo_controller.tracking.on_target import OnTarget
@@ -19,6 +18,36 @@ USUAL_PERCENT = 99
 TOLERANCE_OF_TRAVEL, LEAST_TOLERANCE_UM = 0.01, 0.03
 NOT_FOLLOWED = "the stage did not follow the reference"
 """Beginning of the note for a run whose error is that of a stage at rest."""
+
+BOUNDS_S = np.geomspace(1e-6, 100.0, 161)
+"""Bounds of the histogram (s), twenty per decade: a percentile is exact to 12 %."""
+
+
+class AnswerTimes:
+    """Histogram of computing times, which takes the same memory for a run of any length.
+
+    Answers that take longer than the limit are late.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._counts = np.zeros(BOUNDS_S.size + 1, dtype=np.int64)
+        self.count = self.late = 0
+
+    def add(self, time_s: float) -> None:
+        """Count one answer."""
+        self.count += 1
+        self.late += time_s > self._limit_s
+        self._counts[np.searchsorted(BOUNDS_S, time_s)] += 1
+
+    def percentile_s(self, percent: float) -> float:
+        """Return the bound (s) within which that percentage of the answers came.
+
+        It is infinite beyond the last bound.
+        """
+        reached = np.searchsorted(np.cumsum(self._counts), percent / 100 * self.count)
+        return float(np.append(BOUNDS_S, np.inf)[reached])
+
 
 
 class TrackingRun:

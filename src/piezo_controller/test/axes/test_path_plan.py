@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Planned voltages are played on a flexure that shares no code with the model."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import control
 import numpy as np
 import pytest
+import two_axis_flexure
 
 from piezo_controller.axes.coupled_inverse import invert_path
 from piezo_controller.axes.path_plan import UnreachablePath
@@ -19,9 +18,6 @@ from piezo_models import CoupledModel, Coupling, IdentifiedAxes, Softening
 from piezo_models.axes.actuator import Actuator
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics
-
-sys.path.insert(0, str(Path(__file__).parent))
-import two_axis_flexure
 
 SETTLED_S = 0.9
 """The lowest mode has decayed to a millionth."""

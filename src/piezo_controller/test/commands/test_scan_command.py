@@ -2,19 +2,16 @@
 """`scan` writes the voltages of a path, says how well it will be followed, and refuses."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import two_axis_flexure
 
 from piezo_common.schema import load_document
 from piezo_controller.commands.scan_command import main
 from piezo_models import save_axes_model
 from piezo_recorder.images.scan_frame import ScanFrame
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
-import two_axis_flexure
 
 
 @pytest.fixture(scope="module")

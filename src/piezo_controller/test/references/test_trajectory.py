@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from piezo_controller.references.reference import Reference, trajectory
+from piezo_controller.references.sines import triangle_wave
 from piezo_controller.references.smooth_rise import minimum_jerk
 from piezo_controller.references.trajectory import (
     FormulaTrajectory,
     JoinedTrajectory,
     KeptTrajectory,
 )
-from piezo_controller.references.triangle import triangle_wave
 
 HOUR = 3600 * 40_000
 ENDLESS = {

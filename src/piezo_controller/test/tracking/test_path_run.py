@@ -3,12 +3,11 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+import two_axis_flexure
 
 from piezo_controller.axes.followed_scan import AxesStage
 from piezo_controller.axes.scan import scan
@@ -20,9 +19,6 @@ from piezo_controller.tracking.path_run import prepare_path
 from piezo_controller.tracking.track import TrackRequest, Unwatched
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models import save_axes_model
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "axes"))
-import two_axis_flexure
 
 CLOCK = StageClock((-120.0, 120.0))
 STAGE = AxesStage(("x", "y"), two_axis_flexure.PERIOD_S, 40, np.array([[-120.0, 120.0]] * 2),

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from piezo_controller.feedforward.periodic import FeedforwardPlan
-from piezo_controller.tracking.answer_times import AnswerTimes
-from piezo_controller.tracking.tracking_run import NOT_FOLLOWED, TrackingRun
+from piezo_controller.tracking.tracking_run import NOT_FOLLOWED, AnswerTimes, TrackingRun
 from piezo_studies.thesis.offline_loop import play_run
 
 ONCE, PERIOD, RUN, BLOCK = 120, 60, 200, 40

@@ -16,9 +16,8 @@ from piezo_stage_driver.engine.blocks import FLAG_PLAYING, FLAG_TRACKING
 from piezo_stage_driver.engine.feedback_hold import FeedbackHold
 from piezo_stage_driver.engine.onboard_feedback import CheckedLaw, OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program, StageRefusal
-from piezo_stage_driver.engine.ramps import Ramps
 from piezo_stage_driver.engine.sources import Feedforward, Marks, Waveform
-from piezo_stage_driver.engine.ticks import Ticks
+from piezo_stage_driver.engine.ticks import Ramps, Ticks
 from piezo_stage_driver.safety.guard_set import GuardSet
 from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.limits import FeedbackLimits, Limits, VoltageLimits

@@ -19,10 +19,9 @@ from piezo_stage_driver.engine.blocks import (
 from piezo_stage_driver.engine.feedback_hold import FeedbackHold
 from piezo_stage_driver.engine.onboard_feedback import OnboardFeedback
 from piezo_stage_driver.engine.program import Phase, Program
-from piezo_stage_driver.engine.ramps import Ramps
 from piezo_stage_driver.engine.sources import Source, Volts, held
 from piezo_stage_driver.engine.stage_commands import StageCommands
-from piezo_stage_driver.engine.ticks import Ticks
+from piezo_stage_driver.engine.ticks import Ramps, Ticks
 from piezo_stage_driver.safety.guard_set import FeedbackGuard, GuardSet, SensorGuards
 from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.limits import FeedbackLimits, Limits
