@@ -215,7 +215,7 @@ class StageModel:
 
     def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
                  memory: StageMemory | None = None) -> FloatArray:
-        """Return the displacement at the sample instants, each measured before its voltage acts.
+        """Return the displacement (um) at the sample instants, (N,), each before its voltage acts.
 
         Parameters
         ----------
@@ -226,11 +226,6 @@ class StageModel:
             0 V, reached from negative saturation, until the creep was over; nonlinear effects have
             rested at their first input. Parts that are simulated one after the other, with one
             memory and one sample period, give the same result as the whole.
-
-        Returns
-        -------
-        (N,) array
-            Displacement in um, as the sensor measures it.
 
         Raises
         ------

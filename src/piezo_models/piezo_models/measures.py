@@ -17,11 +17,6 @@ def e_rms_percent(reference_um: ArrayLike, displacement_um: ArrayLike,
     remove_offset : bool
         Subtract the mean of the error first.
 
-    Returns
-    -------
-    float
-        Percent.
-
     Raises
     ------
     ValueError
@@ -48,11 +43,6 @@ def e_y_percent(measured_um: ArrayLike, estimated_um: ArrayLike,
     measured_um, estimated_um : (N,) array_like
     remove_offset : bool
         Subtract the mean of each signal first, as chapter 4 does.
-
-    Returns
-    -------
-    float
-        Percent.
 
     Raises
     ------

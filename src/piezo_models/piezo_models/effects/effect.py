@@ -160,7 +160,7 @@ class Effect(ABC):
     @abstractmethod
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
-        """Return the signal behind the effect.
+        """Return the signal behind the effect, (N,).
 
         Parameters
         ----------
@@ -168,10 +168,6 @@ class Effect(ABC):
             Voltage in V or displacement in um, at its `place`.
         rest : float, optional
             Level at which the signal has rested before; its first value by default.
-
-        Returns
-        -------
-        (N,) array
         """
 
     def advance(self, signal: FloatArray, sample_period_s: float,
@@ -214,16 +210,12 @@ class Effect(ABC):
         return not self.remembers
 
     def compensate(self, wanted: FloatArray, sample_period_s: float) -> FloatArray:
-        """Return the periodic signal in front of the effect that gives the wanted one behind it.
+        """Return the periodic signal, (N,), that the effect turns into the wanted one.
 
         Parameters
         ----------
         wanted : (N,) array
             One period.
-
-        Returns
-        -------
-        (N,) array
 
         Raises
         ------

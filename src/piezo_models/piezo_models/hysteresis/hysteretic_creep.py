@@ -76,7 +76,7 @@ class HystereticCreep:
 
     def simulate(self, voltage_v: ArrayLike, sample_period_s: float,
                  memory: HystereticCreepMemory) -> FloatArray:
-        """Return the output at the sample instants, in um.
+        """Return the output at the sample instants, (N,), in um.
 
         Parameters
         ----------
@@ -84,10 +84,6 @@ class HystereticCreep:
             Voltages, each held for a sample period.
         memory : HystereticCreepMemory
             Past of the operators; continued, and updated in place.
-
-        Returns
-        -------
-        (N,) array
         """
         decays = np.exp(-sample_period_s / np.array(self.time_constants_s))
         return _simulate(

@@ -218,7 +218,7 @@ class PreisachModel:
 
     def simulate(self, voltage_v: ArrayLike,
                  memory: PreisachMemory | None = None) -> FloatArray:
-        """Return the hysteresis output for a sequence of voltages.
+        """Return the hysteresis output in um, (N,), for a sequence of voltages.
 
         Parameters
         ----------
@@ -226,11 +226,6 @@ class PreisachModel:
             Voltages beyond the range act as its limits.
         memory : PreisachMemory, optional
             Past of this same model; continued, and updated in place. Wiped by default.
-
-        Returns
-        -------
-        (N,) array
-            Output in um.
 
         Raises
         ------
@@ -258,7 +253,7 @@ class PreisachModel:
 
     def invert(self, hysteresis_um: ArrayLike,
                memory: PreisachMemory | None = None) -> FloatArray:
-        """Return the voltages whose hysteresis output is the given sequence: the exact inverse.
+        """Return the voltages in V, (N,), whose hysteresis output is given: the exact inverse.
 
         The output determines the voltage only where its slope is not zero. Where the density makes
         it flat, the voltage moves as little as possible: it is constant while the target is
@@ -272,11 +267,6 @@ class PreisachModel:
         hysteresis_um : (N,) array_like
         memory : PreisachMemory, optional
             Past of this same model; continued, and updated in place. Wiped by default.
-
-        Returns
-        -------
-        (N,) array
-            Voltage in V.
 
         Raises
         ------

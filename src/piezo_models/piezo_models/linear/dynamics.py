@@ -301,7 +301,7 @@ def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> Fl
 
 def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
                     initial_state: ArrayLike | None = None) -> FloatArray:
-    """Simulate y[n] = C x[n] + D v[n] of a discrete system with x[n + 1] = A x[n] + B v[n].
+    """Return y[n] = C x[n] + D v[n], (N,), of a system with x[n + 1] = A x[n] + B v[n].
 
     Parameters
     ----------
@@ -310,10 +310,6 @@ def simulate_linear(discrete_system: control.StateSpace, input: ArrayLike,
     input : (N,) array_like
     initial_state : (n,) array_like, optional
         State at the first sample; zero by default.
-
-    Returns
-    -------
-    (N,) array
 
     Examples
     --------

@@ -28,7 +28,7 @@ SETTINGS = PeriodicInversionSettings()
 
 def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
                            sample_period_s: float, dc_gain: float | None = None) -> FloatArray:
-    """Return the input whose steady output, held and sampled, is the periodic reference.
+    """Return one period of the input whose steady output, held and sampled, is the reference.
 
     Each harmonic of the Fourier series is divided by the response of the ZOH-sampled system,
     eq. (4.22) with the sampled in place of the continuous response, so the inverse is exact.
@@ -41,11 +41,6 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
         Continuous system with one input and one output.
     dc_gain : float, optional
         Gain for the mean of the reference while creep continues; that of the system by default.
-
-    Returns
-    -------
-    (N,) array
-        One period of the input.
 
     Raises
     ------
