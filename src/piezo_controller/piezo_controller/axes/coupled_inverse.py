@@ -11,7 +11,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_controller.axes.repeated_period import repeated
 from piezo_models.axes.coupled import CoupledModel
-from piezo_models.linear.periodic_inversion import SETTINGS
+from piezo_models.linear.periodic_inversion import used_lines
 
 GAIN_LIMIT = 100.0
 """Voltage for a displacement, in multiples of that at rest, up to which a model is inverted. A
@@ -94,8 +94,7 @@ def _inverted(offset_um: FloatArray, model: CoupledModel, inverse: str, gain_lim
     """Return the voltages for displacements from the operating point at an amplitude."""
     samples = len(offset_um)
     lines = np.fft.rfft(offset_um, axis=0)
-    size = np.abs(lines).max(axis=1)
-    used = np.flatnonzero(size > SETTINGS.negligible_content * size.max())
+    used = used_lines(lines)
     voltage, missed = np.zeros_like(lines), np.zeros_like(lines)
     at_rest = _response(model, np.zeros(1), inverse, amplitude_v)[0].real
     for at in np.array_split(used, used.size // LINES_AT_ONCE + 1):

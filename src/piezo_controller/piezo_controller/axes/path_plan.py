@@ -18,11 +18,11 @@ from piezo_controller.axes.repeated_period import faded_in
 from piezo_controller.axes.scan_path import MOST_SAMPLES, ScanPath, size_text
 from piezo_controller.axes.stored_scan import SAME_PERIOD, stored_scan
 from piezo_controller.feedforward.feasibility import (
-    BISECTIONS,
     Infeasible,
     UnreachableReference,
     check_range,
     check_slew,
+    largest_part,
     rounded_down,
 )
 from piezo_controller.references.kind import InvalidReference
@@ -258,11 +258,7 @@ class _Planner:
             return UnreachablePath(
                 f"the voltages cannot hold the centre of the path: {reason}; choose another centre",
                 np.zeros(len(path.axes)), 0.0)
-        inside, outside = 0.0, 1.0
-        for _ in range(BISECTIONS):
-            middle = (inside + outside) / 2.0
-            inside, outside = (middle, outside) if self._allows(path.scaled(middle)) else (
-                inside, middle)
+        inside = largest_part(lambda part: self._allows(path.scaled(part)))
         reachable_um = np.array([rounded_down(inside * each) for each in path.size_um])
         rate_hz = self._reachable_rate_hz(path)
         rate = f"{rate_hz:.6g} Hz at this size" if rate_hz else "no rate at this size"

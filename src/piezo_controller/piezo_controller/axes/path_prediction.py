@@ -13,7 +13,7 @@ from piezo_controller.axes.repeated_period import repeated
 from piezo_controller.axes.scan_path import ScanPath
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
-from piezo_models.linear.periodic_inversion import SETTINGS
+from piezo_models.linear.periodic_inversion import used_lines
 
 SILENT = 1e-15
 """Ratio below which nothing but rounding couples: -300 dB."""
@@ -110,8 +110,7 @@ def _uncertain_um(voltage_v: FloatArray, identified: IdentifiedAxes) -> FloatArr
     """
     model, samples = identified.model, len(voltage_v)
     lines = np.fft.rfft(voltage_v - model.operating_voltage_v, axis=0)
-    size = np.abs(lines).max(axis=1)
-    used = np.flatnonzero(size > SETTINGS.negligible_content * size.max())
+    used = used_lines(lines)
     deviation = identified.response_deviation_um_per_v(used / (samples * model.sample_period_s))
     left = np.zeros((len(lines), len(model.axes)))
     left[used] = np.sqrt(np.einsum("fij,fj->fi", deviation**2, np.abs(lines[used]) ** 2))

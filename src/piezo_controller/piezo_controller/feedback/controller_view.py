@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from piezo_common.arrays import FloatArray
 from piezo_common.summary_table import SummaryTable
 
 if TYPE_CHECKING:
-    import control
     from matplotlib.figure import Figure
 
     from piezo_controller.feedback.feedback_design import FeedbackController
@@ -38,8 +36,6 @@ REPORT_ROWS = (
 )
 """Key in the report, displayed name, number format, and unit."""
 
-LOWEST_HZ = 0.1
-POINTS = 2000
 CLOCK_PERIOD_S = 25e-6
 
 
@@ -82,9 +78,10 @@ def draw_controller(controller: "FeedbackController",
 
 def _draw_response(controller: "FeedbackController") -> "Figure":
     from piezo_common.picture_style import BLUE, label, new_figure
+    from piezo_controller.feedback.loop_pictures import drawn_frequencies
 
     system = controller.state_space()
-    frequency_hz = _frequencies(system)
+    frequency_hz = drawn_frequencies(system.dt)
     response = system(np.exp(2j * np.pi * frequency_hz * system.dt), squeeze=True)
     figure = new_figure(4.6)
     gain, phase = figure.subplots(2, 1, sharex=True)
@@ -98,7 +95,7 @@ def _draw_response(controller: "FeedbackController") -> "Figure":
 def _draw_loop(controller: "FeedbackController", model: "StageModel") -> "Figure":
     from piezo_common.picture_style import CURVES, WIDE_IN, label, new_figure
     from piezo_controller.feedback.loop_measures import loop_responses
-    from piezo_controller.feedback.loop_pictures import nyquist_on
+    from piezo_controller.feedback.loop_pictures import drawn_frequencies, nyquist_on
     from piezo_controller.feedback.synthesis.generalised_plant import (
         design_plant,
         hysteresis_gain_range,
@@ -108,7 +105,7 @@ def _draw_loop(controller: "FeedbackController", model: "StageModel") -> "Figure
         model, controller.sample_period_s, CLOCK_PERIOD_S,
         bool(controller.report.get("at_once", False)), controller.delay_ticks)
     system, plant = controller.state_space(), gain_um_per_v * plant
-    frequency_hz = _frequencies(system)
+    frequency_hz = drawn_frequencies(system.dt)
     loop, sensitivity = loop_responses(plant, system, frequency_hz)
     figure = new_figure(4.0, WIDE_IN)
     gain, nyquist = figure.subplots(1, 2)
@@ -122,7 +119,3 @@ def _draw_loop(controller: "FeedbackController", model: "StageModel") -> "Figure
     nyquist_on(nyquist, plant, system, hysteresis_gain_range(model)[1] / gain_um_per_v - 1.0)
     nyquist.legend(loc="lower right")
     return figure
-
-
-def _frequencies(system: "control.StateSpace") -> FloatArray:
-    return np.geomspace(LOWEST_HZ, 0.5 / system.dt, POINTS)

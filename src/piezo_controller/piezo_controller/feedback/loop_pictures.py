@@ -47,7 +47,7 @@ def bode_figure(plant: control.StateSpace, controller: control.StateSpace,
 
     The plant has its gain in um/V. A design without weights has none.
     """
-    frequency_hz = _frequencies(plant.dt)
+    frequency_hz = drawn_frequencies(plant.dt)
     points = np.exp(2j * np.pi * frequency_hz * plant.dt)
     loop, sensitivity = loop_responses(plant, controller, frequency_hz)
 
@@ -114,7 +114,7 @@ def nyquist_figure(plant: control.StateSpace, controller: control.StateSpace,
 def nyquist_on(axes: Axes, plant: control.StateSpace, controller: control.StateSpace,
                gain_spread: float) -> None:
     """Draw the open loop of `nyquist_figure` with the circle of the peak sensitivity."""
-    loop, sensitivity = loop_responses(plant, controller, _frequencies(plant.dt))
+    loop, sensitivity = loop_responses(plant, controller, drawn_frequencies(plant.dt))
     peak = np.abs(sensitivity).max()
     turn = np.exp(1j * np.linspace(0, 2 * np.pi, 400))
     axes.plot(turn.real, turn.imag, color=GREY, label="unit circle")
@@ -184,7 +184,7 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
 
     The plant has its gain in um/V. Axes are named if there are several.
     """
-    frequency_hz = _frequencies(plant.dt)[::4]
+    frequency_hz = drawn_frequencies(plant.dt)[::4]
     figure = new_figure(4.4)
     shown = figure.subplots()
     if drawn:
@@ -210,7 +210,7 @@ def sensitivity_figure(plant: control.StateSpace, controller: control.StateSpace
 def weights_figure(weights: DesignWeights) -> Figure:
     """Draw the weights over frequency."""
     tick_s = weights.sample_period_s
-    frequency_hz = _frequencies(tick_s)
+    frequency_hz = drawn_frequencies(tick_s)
     figure = new_figure(5.0, WIDE_IN)
     axes = figure.subplots()
     for (name, text), style in zip((("performance", "w$_1$, error (1/um)"),
@@ -253,5 +253,6 @@ def _size(weight: Weight, frequency_hz: FloatArray, tick_s: float) -> FloatArray
     return np.abs(weight.state_space(tick_s)(points, squeeze=True)) * np.ones_like(frequency_hz)
 
 
-def _frequencies(tick_s: float) -> FloatArray:
+def drawn_frequencies(tick_s: float) -> FloatArray:
+    """Return the frequencies at which a loop is drawn, up to half the rate (Hz)."""
     return np.geomspace(LOWEST_HZ, 0.5 / tick_s, 2000)

@@ -68,7 +68,6 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
     of the reference, a part with its mean and its extremes suffices.
     """
     mean_um, travel_um = reference_um.mean(), np.ptp(reference_um)
-    watch = watch or (lambda fraction: None)
 
     def feasible(scale: float) -> bool:
         try:
@@ -82,18 +81,21 @@ def unreachable(plan: Callable[[float, float], object], reference_um: FloatArray
         return UnreachableReference(
             f"the amplifier cannot hold the reference's mean of {mean_um:.4g} um: "
             f"the stage reaches about {low_um:.4g} to {high_um:.4g} um", 0.0)
-    reachable, beyond = 0.0, 1.0
-    for bisection in range(BISECTIONS):
-        watch(bisection / BISECTIONS)
-        middle = (reachable + beyond) / 2
-        if feasible(middle):
-            reachable = middle
-        else:
-            beyond = middle
-    reachable_um = rounded_down(reachable * travel_um)
+    reachable_um = rounded_down(largest_part(feasible, watch) * travel_um)
     return UnreachableReference(
         f"the amplifier cannot follow {travel_um:.4g} um peak to peak about {mean_um:.4g} um: "
         f"{reason}; {reachable_um:g} um peak to peak is within reach", reachable_um)
+
+
+def largest_part(feasible: Callable[[float], bool], watch: Watch | None = None) -> float:
+    """Return the largest part between 0, which is feasible, and 1, which is not, by bisection."""
+    reachable, beyond = 0.0, 1.0
+    for bisection in range(BISECTIONS):
+        if watch:
+            watch(bisection / BISECTIONS)
+        middle = (reachable + beyond) / 2.0
+        reachable, beyond = (middle, beyond) if feasible(middle) else (reachable, middle)
+    return reachable
 
 
 def rounded_down(value: float) -> float:

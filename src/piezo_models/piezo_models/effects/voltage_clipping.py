@@ -11,6 +11,7 @@ from numba import njit
 
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import Effect, Evidence, Extent, parameter
+from piezo_models.effects.slew_limit import SlewLimit
 
 SCANNED_PARTS = (-0.03, -0.01, 0.0, 0.003, 0.01, 0.03, 0.1, 0.2)
 """Distances of the limit from the end of the voltages that are tried, as fractions of their span; a
@@ -122,9 +123,4 @@ class VoltageClipping(Effect):
         return [shape for shape, gains in found
                 if gain / LIKELY_GAIN < gains[0] < gain * LIKELY_GAIN][:TRIED]
 
-    @classmethod
-    def lacks_excitation(cls, evidence: Evidence) -> str | None:
-        """Require a voltage that changes."""
-        if np.ptp(evidence.voltage_v) == 0.0:
-            return "the voltage does not change"
-        return None
+    lacks_excitation = SlewLimit.lacks_excitation

@@ -7,7 +7,7 @@ import control
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray, IntArray
 from piezo_models.linear.dynamics import zoh_response
 
 
@@ -24,6 +24,12 @@ class PeriodicInversionSettings:
 
 
 SETTINGS = PeriodicInversionSettings()
+
+
+def used_lines(lines: ComplexArray) -> IntArray:
+    """Return the lines of a spectrum, (F,) or (F, axes), whose content is not negligible."""
+    size = np.abs(lines).reshape(len(lines), -1).max(axis=1)
+    return np.flatnonzero(size > SETTINGS.negligible_content * size.max())
 
 
 def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
@@ -64,8 +70,7 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
     if not np.isfinite(reference).all():
         raise ValueError("the reference holds a value that is not finite; remove or replace it")
     harmonics = np.fft.rfft(reference)
-    size = np.abs(harmonics)
-    used = np.flatnonzero(size > SETTINGS.negligible_content * size.max())
+    used = used_lines(harmonics)
     frequency_hz = used / (reference.size * sample_period_s)
     response = zoh_response(system, frequency_hz, sample_period_s)
     gain = np.abs(response)

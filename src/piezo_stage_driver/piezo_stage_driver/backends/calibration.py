@@ -77,8 +77,12 @@ class AxisCalibration(Part):
         return self.sensor_um_per_v * card_v + self.sensor_offset_um
 
 
-class CardPart(Part):
+class CardDocument(Document):
     """Entries of a card, whatever the number of axes."""
+
+    TITLE: ClassVar[str] = "calibration file"
+    SYNTAX: ClassVar[str] = "yaml"
+    RENEW: ClassVar[str] = "add it"
 
     lead_ticks: int = entry("How many ticks ahead the output is written.",
                             at_least=1, at_most=1_000_000_000)
@@ -86,16 +90,12 @@ class CardPart(Part):
                             "line, frame and backward; none by default.", default="")
 
 
-class Calibration(AxisCalibration, CardPart, Document):
+class Calibration(AxisCalibration, CardDocument):
     """The calibration of a stage of one axis.
 
     The output is written `lead_ticks` ahead. That is the tolerated delay of the computer, which
     also delays every answer and every stop.
     """
-
-    TITLE: ClassVar[str] = "calibration file"
-    SYNTAX: ClassVar[str] = "yaml"
-    RENEW: ClassVar[str] = "add it"
 
     @property
     def by_axis(self) -> dict[str, AxisCalibration]:
@@ -103,12 +103,8 @@ class Calibration(AxisCalibration, CardPart, Document):
         return {"": self}
 
 
-class AxesCalibration(CardPart, Document):
+class AxesCalibration(CardDocument):
     """The calibration of a stage of several axes on one card."""
-
-    TITLE: ClassVar[str] = "calibration file"
-    SYNTAX: ClassVar[str] = "yaml"
-    RENEW: ClassVar[str] = "add it"
 
     axes: dict[str, AxisCalibration] = entry(
         "Channels and factors of each axis, by its short lower-case name.", shortest=2, longest=3)

@@ -3,12 +3,8 @@
 
 from collections.abc import Callable
 
-import numpy.typing as npt
-
-from piezo_models.feedback_law.feedback_law import FeedbackLaw
-from piezo_stage_driver.engine.onboard_feedback import CheckedLaw
 from piezo_stage_driver.engine.program import StageRefusal
-from piezo_stage_driver.engine.stage_commands import Replacement
+from piezo_stage_driver.engine.stage_commands import StageCommands
 from piezo_stage_driver.safety.commands import Command
 from piezo_stage_driver.safety.guards import StopLatch
 from piezo_stage_driver.safety.supervisor import NOT_ACTIVE, StageSupervisor
@@ -42,18 +38,15 @@ class CommandRouter:
         supervisor = self.supervisor
         return supervisor.engine.seconds_to_rest if supervisor and supervisor.active else 0.0
 
-    def checked(self, law: FeedbackLaw) -> CheckedLaw:
-        """Check a feedback law for the configured stage; see `StageCommands.checked`."""
-        if self.supervisor is None:
-            raise StageRefusal(NOT_ACTIVE)
-        return self.supervisor.engine.commands.checked(law)
+    @property
+    def checks(self) -> StageCommands:
+        """Return the configured stage, to check what a command brings, from any thread.
 
-    def replacement(self, once_voltage_v: npt.ArrayLike, period_voltage_v: npt.ArrayLike,
-                    law: FeedbackLaw | None) -> Replacement:
-        """Check a replacement for the configured stage; see `StageCommands.replacement`."""
+        Raises `StageRefusal` if there is none.
+        """
         if self.supervisor is None:
             raise StageRefusal(NOT_ACTIVE)
-        return self.supervisor.engine.commands.replacement(once_voltage_v, period_voltage_v, law)
+        return self.supervisor.engine.commands
 
     def submit(self, command: Command) -> None:
         """Let a command run between two ticks, or refuse it; the command reports the outcome."""

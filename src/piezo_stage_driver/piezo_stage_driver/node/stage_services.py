@@ -100,7 +100,7 @@ class StageServices:
             return
         try:
             # Checked here, as this takes longer than a tick may.
-            law = self._router.checked(law_of(request.law))
+            law = self._router.checks.checked(law_of(request.law))
         except ValueError as error:
             self._refuse(late, "load_feedback", error)
         else:
@@ -126,7 +126,7 @@ class StageServices:
         if self._replacements.repeats(request.request_id, late):
             return
         try:
-            replacement = self._router.replacement(
+            replacement = self._router.checks.replacement(
                 request.once_voltage_v, request.period_voltage_v,
                 law_of(request.law) if request.onboard else None)
         except ValueError as error:
