@@ -36,16 +36,6 @@ def test_slow_voltages_come_late_by_its_share_of_the_time_constant():
     assert late_v[-1] / (ramp_v[1] / PERIOD_S) == pytest.approx(effect.slow_delay_s)
 
 
-@pytest.mark.parametrize("effect", [
-    AmplifierLag(TIME_S), VoltageRelaxation(TIME_S, SHARE)], ids=lambda effect: effect.name)
-def test_parts_one_after_the_other_are_the_whole(effect):
-    past, parts = None, []
-    for part_v in np.split(VOLTAGE_V, [1, 7, 200]):
-        behind_v, past = effect.advance(part_v, PERIOD_S, past)
-        parts.append(behind_v)
-    assert np.concatenate(parts) == pytest.approx(effect.apply(VOLTAGE_V, PERIOD_S))
-
-
 def test_a_feedback_loop_meets_its_response():
     s = 2j * np.pi * 50.0
     wanted = 1.0 - SHARE + SHARE / (1.0 + TIME_S * s)
