@@ -13,14 +13,23 @@ from piezo_controller.feedback.synthesis.dk_iteration import tick_frequencies
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import (
     CreepDynamics,
     ElectricVibrationDynamics,
     continue_linear,
     zoh,
 )
+from piezo_models.model_file import save_model
 
 sys.path.insert(0, str(Path(__file__).parent / "axes"))  # the stand-in of a stage of two axes
+
+
+@pytest.fixture(scope="session")
+def model_path(stage_model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "model.json"
+    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
+    return path
 
 
 @pytest.fixture(scope="session")

@@ -16,15 +16,6 @@ from piezo_controller.feedback.controller_file import load_controller
 from piezo_controller.feedback.robustness import PlantErrors
 from piezo_controller.feedback.sample_rate.named_feedbacks import feedback_at_margin
 from piezo_controller.feedback.synthesis.weights import WeightsError, load_weights
-from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import save_model
-
-
-@pytest.fixture(scope="module")
-def model_path(stage_model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("model") / "model.json"
-    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
-    return path
 
 
 @pytest.fixture(scope="module")

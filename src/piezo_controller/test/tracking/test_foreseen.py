@@ -10,8 +10,6 @@ from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.foreseen import foreseen_share
 from piezo_controller.tracking.track import TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
-from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import save_model
 
 STAGE = StageClock()
 PERIOD_S = 25e-6
@@ -28,14 +26,12 @@ class Unheard:
 
 
 @pytest.fixture(scope="module")
-def prepared_in(stage_model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("foreseen") / "model.json"
-    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
+def prepared_in(model_path):
     feedbacks = Feedbacks(FeedbackSettings(), STAGE)
 
     def prepared_in(mode, frequency_hz, amplitude_um):
         reference = Reference("harmonic", (frequency_hz,), (amplitude_um,), (), 50.0)
-        return prepare(TrackRequest(mode, str(path), "0" * 64, [reference], [0.1]), STAGE,
+        return prepare(TrackRequest(mode, str(model_path), "0" * 64, [reference], [0.1]), STAGE,
                        feedbacks, Unheard())
 
     return prepared_in

@@ -15,8 +15,6 @@ from piezo_controller.references.reference import Reference, trajectory
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.track import TrackRequest, prepare
 from piezo_controller.tracking.tracking_modes import StageClock
-from piezo_models.identified_model import IdentifiedModel
-from piezo_models.model_file import save_model
 
 STAGE = StageClock()
 HARMONIC = Reference("harmonic", (100.0,), (10.0,), (), 50.0)
@@ -41,12 +39,9 @@ class Heard:
 
 
 @pytest.fixture
-def request_of(stage_model, tmp_path):
-    path = tmp_path / "model.json"
-    save_model(path, IdentifiedModel(stage_model, (-20.0, 120.0)))
-
+def request_of(model_path, tmp_path):
     def make(mode, *references, **changes):
-        return TrackRequest(mode, str(path), "0" * 64, references, [0.1] * len(references),
+        return TrackRequest(mode, str(model_path), "0" * 64, references, [0.1] * len(references),
                             directory=str(tmp_path), **changes)
 
     return make

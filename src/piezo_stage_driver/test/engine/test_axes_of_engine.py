@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linear_stage_loop import finish
 
 from piezo_stage_driver.engine.blocks import FLAG_PLAYING, FLAG_STOPPED
 from piezo_stage_driver.engine.program import StageRefusal
@@ -62,15 +63,6 @@ def make_engine(backend_class=Backend, **options):
         sensor_guards={"x": guards(), "y": guards()}, **options), backend
 
 
-def run(engine, most=10_000):
-    blocks = []
-    for _ in range(most):
-        if engine.idle:
-            return [block for block in blocks if block is not None]
-        blocks.append(engine.advance())
-    raise AssertionError("the engine never came to rest")
-
-
 def circle(samples=400):
     phase = 2.0 * np.pi * np.arange(samples) / samples
     return np.column_stack([40.0 + 30.0 * np.cos(phase), 30.0 + 20.0 * np.sin(phase)])
@@ -83,7 +75,7 @@ def play(engine, voltage_v, period_s=PERIOD_S, **options):
 def test_waveform_is_played_sample_by_sample_between_ramps_of_both_axes():
     engine, backend = make_engine()
     first, count = play(engine, circle(), repeats=2)
-    blocks = run(engine)
+    blocks = finish(engine)
     assert count == 800
     assert np.array_equal(backend.voltage_v[first:first + 800], np.tile(circle(), (2, 1)))
     assert np.array_equal(backend.voltage_v[-1], [0.0, 10.0])
@@ -98,7 +90,7 @@ def test_waveform_is_played_sample_by_sample_between_ramps_of_both_axes():
 def test_slow_waveform_is_published_as_means_of_each_axis():
     engine, _ = make_engine()
     play(engine, circle(20), 0.001)
-    playing = [block for block in run(engine) if block.flags & FLAG_PLAYING]
+    playing = [block for block in finish(engine) if block.flags & FLAG_PLAYING]
     assert np.allclose(np.concatenate([block.voltage_v for block in playing])[:20], circle(20))
     assert all(block.voltage_v.shape == block.displacement_um.shape for block in playing)
 
@@ -124,7 +116,7 @@ def test_marks_of_a_waveform_are_put_out_and_published_with_its_samples_in_every
     marks = np.zeros(400, np.uint8)
     marks[[0, 100, 399]] = 7, 1, 2
     first, _ = play(engine, circle(), repeats=2, marks=marks)
-    blocks = run(engine)
+    blocks = finish(engine)
     wanted = np.zeros(len(backend.voltage_v), np.uint8)
     wanted[first:first + 800] = np.tile(marks, 2)
     put_out = [backend.put_out.get(number, np.zeros(len(each), np.uint8))
@@ -139,7 +131,7 @@ def test_marks_and_signals_of_a_slow_waveform_are_those_of_its_values():
     engine, _ = make_engine(Detecting)
     marks = np.arange(20) % 4
     play(engine, circle(20), 0.001, marks=marks)
-    playing = [block for block in run(engine) if block.flags & FLAG_PLAYING]
+    playing = [block for block in finish(engine) if block.flags & FLAG_PLAYING]
     assert np.array_equal(np.concatenate([block.marks for block in playing])[:20], marks)
     assert np.allclose(np.concatenate([block.signal for block in playing])[:20, 0],
                        2.0 * circle(20)[:, 0])
@@ -158,7 +150,7 @@ def test_marks_of_a_feedforward_are_put_out_once_and_in_every_period():
         backend.put_out.clear()
         first = engine.next_sample
         engine.commands.start_tracking(False, 25)
-        run(engine)
+        finish(engine)
         put_out = np.concatenate([backend.put_out.get(number, np.zeros(len(each), np.uint8))
                                   for number, each in enumerate(backend.played_v)])
         assert np.array_equal(put_out[first:first + 1000], wanted)
@@ -177,7 +169,7 @@ def test_stop_ends_the_marks():
         engine.advance()
     engine.stop("of the test")
     put_out = len(backend.put_out)
-    assert all(block.marks is None for block in run(engine))
+    assert all(block.marks is None for block in finish(engine))
     assert len(backend.put_out) == put_out
 
 
@@ -190,7 +182,7 @@ def test_marks_that_do_not_fit_the_samples_are_refused():
 def test_waveform_that_holds_at_its_end_leaves_both_axes_there():
     engine, _ = make_engine()
     play(engine, [[30.0, 20.0]], hold_at_end=True)
-    run(engine)
+    finish(engine)
     assert np.array_equal(engine.voltage_v, [30.0, 20.0]) and not engine.at_rest
 
 
@@ -199,11 +191,11 @@ def test_axis_that_rests_leaves_the_other_as_if_it_were_alone():
     voltage_v = circle()
     voltage_v[:, 1] = 10.0
     play(engine, voltage_v)
-    blocks = run(engine)
+    blocks = finish(engine)
     alone_backend = OneAxis()
     alone = StageEngine(alone_backend, X_LIMITS)
     alone.commands.play(voltage_v[:, 0], PERIOD_S)
-    alone_blocks = run(alone)
+    alone_blocks = finish(alone)
     assert np.array_equal(backend.voltage_v[:, 0], alone_backend.voltage_v)
     assert [(block.first_sample, block.flags) for block in blocks] == [
         (block.first_sample, block.flags) for block in alone_blocks]
@@ -294,7 +286,7 @@ def test_axis_that_rests_is_not_taken_for_stuck_while_the_other_moves():
     voltage_v = circle(8000)
     voltage_v[:, 1] = 10.0
     play(engine, voltage_v)
-    run(engine)
+    finish(engine)
     assert not engine.stop_cause
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from linear_stage_loop import finish
 
 from piezo_stage_driver.engine.blocks import (
     FLAG_FEEDBACK_HELD,
@@ -49,15 +50,6 @@ def make_engine(**options):
     return StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6), **options), backend
 
 
-def run(engine, most=100000):
-    blocks = []
-    for _ in range(most):
-        if engine.idle:
-            return blocks
-        blocks.append(engine.advance())
-    raise AssertionError("the engine never came to rest")
-
-
 def joined(blocks, name):
     return np.concatenate([getattr(block, name) for block in blocks if block is not None])
 
@@ -73,7 +65,7 @@ def test_waveform_is_played_sample_by_sample_between_two_ramps():
     engine, backend = make_engine()
     waveform = 30.0 + 5.0 * np.sin(np.arange(400) * 0.1)
     first, count = engine.commands.play(waveform, PERIOD_S, repeats=2)
-    blocks = run(engine)
+    blocks = finish(engine)
     assert count == 800
     assert np.array_equal(backend.played_v[first:first + 800], np.tile(waveform, 2))
     assert backend.played_v[-1] == 0.0
@@ -93,7 +85,7 @@ def test_blocks_of_a_waveform_that_nobody_answers_hold_the_samples_of_many_ticks
             (40, {"samples_per_block": 800, "longest_stretch_samples": 40})):
         engine, backend = make_engine(**options)
         engine.commands.play(voltage_v, PERIOD_S)
-        blocks = run(engine)
+        blocks = finish(engine)
         assert_every_sample_accounted_for(blocks)
         assert max(block.voltage_v.size for block in blocks) == longest
         flags = np.concatenate([np.full(block.voltage_v.size, block.flags) for block in blocks])
@@ -108,7 +100,7 @@ def test_slow_waveform_is_published_as_means_over_its_samples(decimation):
     engine, backend = make_engine()
     waveform = np.linspace(10.0, 60.0, 97)
     first, count = engine.commands.play(waveform, decimation * PERIOD_S)
-    blocks = run(engine)
+    blocks = finish(engine)
     assert np.array_equal(backend.played_v[first:first + count], np.repeat(waveform, decimation))
     means = backend.played_v.reshape(-1, decimation).mean(axis=1)
     assert np.allclose(joined(blocks, "voltage_v"), means, rtol=0, atol=1e-12)
@@ -124,7 +116,7 @@ def test_cancelled_waveform_ramps_to_rest_and_loses_no_sample(decimation, cancel
     engine.commands.play(np.full(500, 80.0), decimation * PERIOD_S)
     blocks = [engine.advance() for _ in range(cancel_after) if not engine.idle]
     engine.return_to_rest()
-    blocks += run(engine)
+    blocks += finish(engine)
     assert backend.played_v.size == 0 or backend.played_v[-1] == 0.0
     assert np.abs(np.diff(backend.played_v, prepend=0.0)).max(initial=0) <= 2000 * PERIOD_S + 1e-9
     if backend.played_v.size:
@@ -198,7 +190,7 @@ def test_watchdog_stops_the_stage_when_answers_stay_away():
     engine, backend = make_engine(max_missed_feedback=3)
     engine.commands.load_feedforward(np.full(40, 10.0) * np.linspace(0, 1, 40), [])
     engine.commands.start_tracking(feedback=True)
-    blocks = run(engine)
+    blocks = finish(engine)
     assert "missed" in engine.stop_cause
     assert backend.played_v[-1] == 0.0
     assert blocks[-1].flags & FLAG_STOPPED
@@ -235,7 +227,7 @@ def test_feedforward_is_played_exactly_once_then_repeated():
     once, period = np.linspace(0, 3, 57), 3.0 + np.sin(np.arange(33))
     engine.commands.load_feedforward(once, period)
     engine.commands.start_tracking(feedback=False, ticks=5)
-    blocks = run(engine)
+    blocks = finish(engine)
     expected = np.r_[once, np.tile(period, 10)][:200]
     assert np.array_equal(backend.played_v[:200], expected)
     assert all(block.flags & FLAG_TRACKING for block in blocks[:5])
@@ -271,7 +263,7 @@ def test_emergency_stop_ramps_to_rest_and_stays_latched_until_reset():
     engine.stop("pressed")
     with pytest.raises(StageRefusal, match="returns to rest"):
         engine.commands.reset()
-    run(engine)
+    finish(engine)
     assert backend.played_v[-1] == 0.0
     assert np.abs(np.diff(backend.played_v)).max() <= 2000 * PERIOD_S + 1e-9
     with pytest.raises(StageRefusal, match="pressed"):
@@ -303,7 +295,7 @@ def test_every_block_of_a_stopped_stage_ramps_whenever_the_stop_came(looks):
     for _ in range(40):
         engine.advance()
     latch._looks = looks
-    blocks = run(engine)
+    blocks = finish(engine)
     stopped_v = joined([block for block in blocks if block.flags & FLAG_STOPPED], "voltage_v")
     assert stopped_v[0] < 60.0
     assert np.allclose(np.diff(stopped_v[:1200]), -2000 * PERIOD_S)
@@ -312,10 +304,10 @@ def test_every_block_of_a_stopped_stage_ramps_whenever_the_stop_came(looks):
 def test_held_voltage_is_where_the_next_waveform_begins():
     engine, backend = make_engine()
     engine.commands.play([7.0], PERIOD_S, hold_at_end=True)
-    run(engine)
+    finish(engine)
     assert engine.voltage_v == 7.0
     engine.commands.play([9.0], PERIOD_S)
-    run(engine)
+    finish(engine)
     assert np.abs(np.diff(backend.played_v, prepend=0.0)).max() <= 2000 * PERIOD_S + 1e-9
 
 
@@ -345,7 +337,7 @@ def test_hardware_that_is_written_ahead_is_published_with_the_voltage_it_applied
     engine = StageEngine(backend, VoltageLimits(-20.0, 120.0, 2.0e6))
     waveform = 30.0 + 5.0 * np.sin(np.arange(400) * 0.1)
     first, count = engine.commands.play(waveform, PERIOD_S)
-    blocks = run(engine)
+    blocks = finish(engine)
     last_sample = engine.last_sample
     blocks += [engine.advance(), engine.advance()]
     assert blocks[-1].first_sample + 39 == last_sample
