@@ -40,7 +40,11 @@ class Replacement:
 
 
 class StageCommands:
-    """Turn the commands of clients into programs that the engine plays."""
+    """Turn the commands of clients into programs that the engine plays.
+
+    A command that must not act raises `StageRefusal`, or `LimitError` for its voltages and
+    `FeedbackLawError` for its law; nothing changes then.
+    """
 
     def __init__(self, engine: "StageEngine", limits: Limits, ticks: Ticks, ramps: Ramps,
                  latch: StopLatch, guards: GuardSet,
