@@ -3,17 +3,12 @@
 
 from dataclasses import dataclass
 
-import control
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.conditioning.generator_edges import (
-    GeneratorEdges,
-    free_running_level,
-    generator_edges,
-)
-from piezo_identification.conditioning.outlier_samples import good_samples
+from piezo_identification.conditioning.generator_edges import EARLY_EDGE, free_running_level
+from piezo_identification.conditioning.outlier_samples import good_samples, without_rows_before
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settling import (
@@ -34,15 +29,10 @@ from piezo_identification.estimators.creep.square_wave_creep import (
     longest_step_s,
 )
 from piezo_identification.estimators.dynamics.fast_estimate import first_used_row
-from piezo_identification.estimators.dynamics.generator_signals import (
-    ROUNDS,
-    edge_responses,
-    moved_edges,
-)
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import of_the_stage
-from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_identification.fitting.measured_response import best_gain
+from piezo_identification.simulation.generator_rows import with_edges_of_generator
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
 from piezo_identification.simulation.sampled_response import (
     behind_lags,
@@ -147,23 +137,25 @@ def _of_square_wave(
     measured_um = part.displacement_um[first:]
     offset_and_creep = offset_and_decays(model, time_s)
 
-    def left_um(level: FloatArray) -> FloatArray:
-        driving = _behind_amplifier(model, part, level) if component == "dynamics" else level
+    def left_um(driving: FloatArray) -> FloatArray:
         response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s,
-                           parts=driving.size // level.size)
+                           parts=driving.size // time_s.size)
         columns = np.column_stack([response, offset_and_creep])[first:]
         fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
         return np.asarray(measured_um - columns @ fitted)
 
-    residual_um = left_um(wave.level)
-    edges, own_um = generator_edges(wave), None
-    has_exact_answer = samples == 1 and not model.effects_at("voltage") and not system.D.any()
-    if edges is not None and component == "dynamics" and has_exact_answer:
-        own_um = _generator_residual_um(
-            system, HeldInput(wave.level, part.sample_period_s, False), behind_s + delay_s,
-            edges, measured_um, offset_and_creep, good)
-    elif (own := free_running_level(wave)) is not None:
-        own_um = left_um(own)
+    own_um = None
+    if component == "dynamics":
+        residual_um = left_um(_behind_hysteresis(model, part, wave.level, None))
+        used = without_rows_before(part, part.sample_index[first])
+        early = with_edges_of_generator(
+            model, used, -delay_s, keeps_instant=False).columns.get(EARLY_EDGE)
+        if early is not None:
+            own_um = left_um(_behind_hysteresis(model, part, wave.level, early))
+    else:
+        residual_um = left_um(wave.level)
+        if (own := free_running_level(wave)) is not None:
+            own_um = left_um(own)
     if own_um is not None:
         if np.sum(own_um[good] ** 2) < np.sum(residual_um[good] ** 2):
             residual_um = own_um
@@ -173,44 +165,18 @@ def _of_square_wave(
         good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
 
 
-def _generator_residual_um(
-    system: control.StateSpace, held: HeldInput, delay_s: float, edges: GeneratorEdges,
-    measured_um: FloatArray, nuisance: FloatArray, good: BoolArray,
-) -> FloatArray:
-    """Return the residual of a system with the best-fitting gain and edge times, (K,).
+def _behind_hysteresis(model: StageModel, part: Recording, level: FloatArray,
+                       early: FloatArray | None) -> FloatArray:
+    """Return the output of the hysteresis, or the levels unless an effect acts on the voltage.
 
-    The samples determine period, duty and time of the edges only to within a sample period. The
-    system has no direct feedthrough, the measured displacement is that of the last K samples, and
-    the nuisance regressors are offset and initial creep, (N, M).
+    The edges of the levels are early by a part of a row if a generator runs freely.
     """
-    poles, vectors = np.linalg.eig(system.A)
-    residues = (system.C @ vectors)[0] * np.linalg.solve(vectors, system.B)[:, 0]
-    delay = delay_s / held.sample_period_s
-    last = slice(held.samples.size - measured_um.size, None)
-    held = moved_edges(held, edges.early)
-
-    def fitted(*moved: FloatArray) -> tuple[FloatArray, FloatArray]:
-        response = (held.responses(poles, delay).value @ residues).real
-        columns = np.column_stack([response, *moved, nuisance])[last]
-        weights = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
-        return weights, np.asarray(measured_um - columns @ weights)
-
-    for _ in range(ROUNDS):
-        moved = edge_responses(held, edges.directions, poles, residues, delay)
-        weights = fitted(moved)[0]
-        by = weights[1 : 1 + moved.shape[1]] / weights[0]
-        held = moved_edges(held, edges.directions @ by)
-    return fitted()[1]
-
-
-def _behind_amplifier(model: StageModel, part: Recording, level: FloatArray) -> FloatArray:
-    """Return the output of the hysteresis if an effect acts on the voltage; else the levels."""
     ahead = model.effects_at("voltage")
-    if not ahead:
-        return level
     low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
-    voltage = RowVoltage(low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level))
+    voltage = RowVoltage(low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level), early)
     in_parts_v, parts = in_parts(voltage, ahead, part.sample_period_s, samples_per_mean(part))
+    if not ahead:
+        return voltage.with_early_edges(in_parts_v, is_smooth=True)
     return model.hysteresis.simulate(
         model.amplified(in_parts_v, part.sample_period_s / parts), model.hysteresis.memory())
 

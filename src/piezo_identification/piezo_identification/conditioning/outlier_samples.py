@@ -87,6 +87,13 @@ def with_jump_rows_marked(recording: Recording) -> Recording:
                    columns=recording.columns | {OUTLIER: off_um})
 
 
+def without_rows_before(recording: Recording, sample_index: int) -> Recording:
+    """Exclude the rows of a recording before an index of the sample clock."""
+    off_um = np.where(recording.sample_index < sample_index, np.nan,
+                      recording.columns.get(OUTLIER, 0.0))
+    return replace(recording, columns={**recording.columns, OUTLIER: off_um})
+
+
 def good_samples(recording: Recording) -> NDArray[np.bool_]:
     """Mark the samples that are not outliers, (N,)."""
     if OUTLIER not in recording.columns:

@@ -111,7 +111,7 @@ def _projected_out(part: SimulatedRecording, rows: NDArray[np.intp],
                    effects: Sequence[Effect]) -> FloatArray:
     """Return nuisance regressors and those of recurring effects of a recording, (n, k)."""
     own = part.recurrences(effects, rows) if isinstance(part, RecordingBefore) else []
-    return np.column_stack([part.nuisance_regressors(rows), *own])
+    return np.column_stack([part.nuisance_regressors(rows, effects), *own])
 
 
 @lru_cache(maxsize=KEPT)

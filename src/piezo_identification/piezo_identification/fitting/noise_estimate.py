@@ -84,5 +84,6 @@ def _without_nuisance(part: SimulatedRecording, effects: Sequence[Effect],
     every = np.arange(part.begin, part.time_s.size)
     step = max(1, every.size // MOST_SAMPLES)
     used = every[::step][~outlier[every[::step]]]
-    sizes = np.linalg.lstsq(part.nuisance_regressors(used), difference[used], rcond=1e-12)[0]
-    return difference - part.nuisance_regressors(np.arange(part.time_s.size)) @ sizes
+    nuisance = part.nuisance_regressors(np.arange(part.time_s.size), effects)
+    sizes = np.linalg.lstsq(nuisance[used], difference[used], rcond=1e-12)[0]
+    return difference - nuisance @ sizes

@@ -184,6 +184,9 @@ class WholeModel:
         Further time by which the rows may be read late, as a negative delay.
     responses : sequence of MeasuredResponse
         Frequency responses with the sign of the model.
+    has_free_gains : bool
+        Whether the recordings may differ in their gains, because a line stands for a hysteresis
+        that none of them determines. The gain of the model is that of the widest voltage.
 
     Raises
     ------
@@ -196,9 +199,12 @@ class WholeModel:
 
     def __init__(self, model: StageModel, recordings: Sequence[Recording],
                  read_late_s: Sequence[float], later_s: float = 0.0,
-                 responses: Sequence[MeasuredResponse] = ()) -> None:
+                 responses: Sequence[MeasuredResponse] = (), has_free_gains: bool = False) -> None:
         self.given, self._hysteresis_width = model, WIDE_PRIOR
         simulated = _simulated(model, recordings, read_late_s)
+        if has_free_gains:
+            widest = max(simulated, key=lambda part: float(np.ptp(part.voltage_v)))
+            simulated = [part if part is widest else part.with_free_gain() for part in simulated]
         self.responses = tuple(responses)
         self.sample_period_s = min(
             *(part.sample_period_s for part in simulated),
@@ -263,6 +269,7 @@ class WholeModel:
         found = after(given_v)
         if given_v is None and found.past_v != before.past_v:
             found = min(found, after(before.past_v), key=lambda part: part.error_um(rows))
+        found = found.with_free_gain() if before.has_free_gain else found
         return found.with_model(replace(model, effects=()))
 
     def read_with_voltage(self, index: int) -> "WholeModel":

@@ -2,11 +2,8 @@
 """Exclude the beginnings of square waves, where the state of the hysteresis is arbitrary."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
-import numpy as np
-
-from piezo_identification.conditioning.outlier_samples import OUTLIER
+from piezo_identification.conditioning.outlier_samples import without_rows_before
 from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import played, square_part, two_levels
 from piezo_identification.estimators.dynamics.fast_estimate import first_used_row
@@ -14,7 +11,6 @@ from piezo_identification.estimators.frequency_response.response_file import Fre
 from piezo_identification.identification.given_data import Data
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.hysteresis.preisach import PreisachModel
-from piezo_recorder.reading.recording import Recording
 
 
 def without_first_runs(recordings: Mapping[str, Data], linear: LinearDynamics,
@@ -37,10 +33,5 @@ def without_first_runs(recordings: Mapping[str, Data], linear: LinearDynamics,
             first = wave.steps[0]
         elif experiment_of(name) == "dynamics" and hysteresis.is_line:
             first = first_used_row(part, wave, linear.creep)
-        used[name] = _without_rows_before(data, part.sample_index[first])
+        used[name] = without_rows_before(data, part.sample_index[first])
     return used
-
-
-def _without_rows_before(recording: Recording, sample_index: int) -> Recording:
-    off_um = np.where(recording.sample_index < sample_index, np.nan, recording.columns[OUTLIER])
-    return replace(recording, columns={**recording.columns, OUTLIER: off_um})

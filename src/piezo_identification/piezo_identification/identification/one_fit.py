@@ -327,7 +327,9 @@ def fitted_together(
             with_generator_edges(fitted.model, list(used.values()), late_of_used_s),
             late_of_used_s, late_s,
             [ResponseSearch(of_the_stage(each, fitted.model)).measured_response()
-             for each in responses])
+             for each in responses],
+            fitted.model.hysteresis.is_line and not any(
+                experiment_of(name) == "hysteresis" for name in used))
     except ValueError as error:
         note(f"the model is that of the separate steps, as {error}")
         return fitted, dict(read_at)

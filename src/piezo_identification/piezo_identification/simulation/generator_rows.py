@@ -45,15 +45,9 @@ def with_generator_edges(model: StageModel, recordings: Sequence[Recording],
         unchanged.
     """
     found: list[Recording] = []
-    is_first = True
     for recording, late_s in zip(recordings, read_late_s, strict=True):
-        edges = _edges_of_rows(recording)
-        if edges is not None:
-            early, directions = edges
-            directions = np.delete(directions, INSTANT, axis=1) if is_first else directions
-            recording = _with_fitted_edges(model, recording, late_s, early, directions)
-            is_first = False
-        found.append(recording)
+        is_first = not any(EARLY_EDGE in each.columns for each in found)
+        found.append(with_edges_of_generator(model, recording, late_s, is_first))
     return found
 
 
@@ -70,8 +64,16 @@ def _edges_of_rows(recording: Recording) -> tuple[FloatArray, FloatArray] | None
     return early, directions / np.abs(directions).max(axis=0)
 
 
-def _with_fitted_edges(model: StageModel, recording: Recording, read_late_s: float,
-                       early: FloatArray, directions: FloatArray) -> Recording:
+def with_edges_of_generator(model: StageModel, recording: Recording, read_late_s: float,
+                            keeps_instant: bool) -> Recording:
+    """Return one recording as `with_generator_edges` does.
+
+    `keeps_instant` tells whether the edges keep their mean time.
+    """
+    edges = _edges_of_rows(recording)
+    if edges is None:
+        return recording
+    early, directions = edges
     sampled = simulated_recording(model, recording, read_late_s=read_late_s)
     measured_um = sampled.without_initial_motion(sampled.measured_um)
 
@@ -91,6 +93,8 @@ def _with_fitted_edges(model: StageModel, recording: Recording, read_late_s: flo
         gain, *by_each = np.linalg.lstsq(
             np.column_stack([sampled.without_initial_motion(each) for each in signals]),
             measured_um, rcond=None)[0]
+        if keeps_instant:
+            by_each[INSTANT] = 0.0  # what is found is an error of the model's delay
         early = np.clip(early + directions @ by_each / gain, 0.0, 1.0)
     explains_more = simulated(early).error_um() < sampled.error_um()
     return moved(early) if explains_more else recording

@@ -82,6 +82,8 @@ class SimulatedRecording:
     read_late_s : float
         Time after its voltage at which the displacement of a row is read; 0 unless given by
         `read_at`, and for means.
+    has_free_gain : bool
+        Whether the gain is a nuisance: no unless given by `with_free_gain`.
     part : Recording
         The samples in which the waveform is played.
     time_s, voltage_v, measured_um : (N,) array
@@ -104,6 +106,7 @@ class SimulatedRecording:
     past_v: PastVoltages = ()
     highest_v: float = CYCLED
     read_late_s: float = 0.0
+    has_free_gain: bool = False
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
         self.part = part = played(recording)
@@ -180,6 +183,12 @@ class SimulatedRecording:
         other._forget_linear()
         return other
 
+    def with_free_gain(self) -> Self:
+        """Return the same recording, whose voltages have another gain than those of others."""
+        other = copy(self)
+        other.has_free_gain = True
+        return other
+
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement simulated by the model with further effects, (N,) or (n,).
@@ -241,9 +250,13 @@ class SimulatedRecording:
                                 rcond=1e-12)[0]
         return simulated_um[self.settled] + self._initial_motion(self.settled) @ sizes
 
-    def nuisance_regressors(self, rows: NDArray[np.intp]) -> FloatArray:
-        """Return the regressors of offset and initial creep at samples, (n, 1 + creep pairs)."""
-        return offset_and_decays(self.model, self.time_s[rows])
+    def nuisance_regressors(self, rows: NDArray[np.intp],
+                            effects: Sequence[Effect] = ()) -> FloatArray:
+        """Return the regressors of offset, initial creep and a free gain at samples, (n, k)."""
+        columns = offset_and_decays(self.model, self.time_s[rows])
+        if self.has_free_gain:
+            columns = np.column_stack([columns, self.simulate(effects, rows=rows)])
+        return columns
 
     @property
     def is_reversed(self) -> bool:
