@@ -25,13 +25,13 @@ def without_first_runs(recordings: Mapping[str, Data], linear: LinearDynamics,
         if isinstance(data, FrequencyResponse):
             continue
         part = square_part(played(data))
-        wave = two_levels(part)
-        first = 0
+        wave, first = two_levels(part), 0
         if wave is None:
             continue
         if name in linear.estimates and linear.estimates[name].start:
             first = wave.steps[0]
         elif experiment_of(name) == "dynamics" and hysteresis.is_line:
             first = first_used_row(part, wave, linear.creep)
-        used[name] = without_rows_before(data, part.sample_index[first])
+        if first:
+            used[name] = without_rows_before(data, part.sample_index[first])
     return used
