@@ -18,6 +18,8 @@ PAGE = ROOT / "docs" / "errors.md"
 REFUSERS = {"refuse", "_refuse"}
 # Errors that are given problem, cure and perhaps the field.
 PARTED = {"SchemaError", "violation"}
+# Results with a problem and its cure, which another function raises.
+RETURNED = {"Violation"}
 TRIPS = {"stop"}
 # Of a Python caller who broke a rule of the language; no user reads them.
 OF_PYTHON = {"StopIteration", "AttributeError", "SystemExit"}
@@ -76,7 +78,7 @@ def refusals_of(path):
     usual_cure = cure_of_refuser(tree)
     for node in sorted(statements(tree), key=lambda node: node.lineno):
         text = refusal(node)
-        if text:
+        if text and re.sub("<.*?>|[^a-z]", "", text):
             problem, cure = parted(text)
             if isinstance(node, ast.Call):
                 cure = cure or usual_cure
@@ -106,6 +108,8 @@ def refusal(node):
         inner = [keyword.value for argument in node.exc.args if isinstance(argument, ast.Call)
                  for keyword in argument.keywords if keyword.arg == "message"]
         return next(filter(None, map(template, [*node.exc.args, *inner])), None)
+    if isinstance(node, ast.Call) and called(node) in RETURNED:
+        return "; ".join(template(argument) for argument in node.args[:2])
     if isinstance(node, ast.Call) and called(node) in REFUSERS:
         texts = [template(argument) or f"<{ast.unparse(argument)}>" for argument in node.args]
         if len(texts) < 2:
