@@ -14,7 +14,7 @@ from builtin_interfaces.msg import Time
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.action import PlayWaveform
 from piezo_interfaces.srv import LoadFeedforward, StopRecording
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import ActionServer, CancelResponse
 from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
 
@@ -259,42 +259,6 @@ def deaf_action(spinning, monkeypatch):
                 cancel_callback=lambda handle: CancelResponse.ACCEPT)
     yield may_end
     may_end.set()
-
-
-@pytest.fixture(params=[GoalResponse.ACCEPT, GoalResponse.REJECT])
-def deciding_action(spinning, request):
-    """A server that accepts or rejects each goal; those that it saw, and what it decides."""
-    server, seen = spinning("server"), []
-
-    def decide(goal):
-        seen.append(goal)
-        return request.param
-
-    def end(handle):
-        handle.succeed()
-        return PlayWaveform.Result(success=True, last_sample=7)
-
-    server.make(ActionServer, server.node, PlayWaveform, "play_waveform", end, goal_callback=decide)
-    return seen, request.param
-
-
-async def ignore(taken_data):
-    """Do nothing with what an action client received."""
-
-
-def test_client_whose_first_action_client_receives_nothing_makes_another(
-        deciding_action, namespace, monkeypatch):
-    monkeypatch.setattr(client_module, "LOST_RESPONSE_S", 0.1)
-    monkeypatch.setattr(client_module, "DIAGNOSTICS_S", 0.1)  # this server publishes none
-    seen, decision = deciding_action
-    with Client(namespace, "asking") as client:
-        monkeypatch.setattr(client._actions["play_waveform"], "execute", ignore)
-        if decision == GoalResponse.ACCEPT:
-            assert client.goal("play_waveform").last_sample == 7
-            assert len(seen) == 1
-        else:
-            with pytest.raises(GoalFailed, match="rejected the goal"):
-                client.goal("play_waveform")
 
 
 class Words(list):

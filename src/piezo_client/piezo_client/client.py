@@ -4,7 +4,6 @@
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, Self
 
 import rclpy
@@ -35,8 +34,6 @@ SERVER_TIMEOUT_S = 30.0
 """Time to wait for a server; some nodes of a stage start before the others."""
 LOST_RESPONSE_S = 2.0
 """Time before a goal or a request is sent again; it doubles with each repetition."""
-ATTEMPTS_OF_ACTION_CLIENT = 3
-"""Times that one action client sends a goal: responses to it can be lost for ever."""
 # A node that designs a controller responds late on a busy machine.
 ACCEPTANCE_TIMEOUT_S = 60.0
 CANCEL_TIMEOUT_S = 10.0
@@ -106,10 +103,9 @@ class Client:
         self._executor.add_node(self.node)
         self._heartbeat = Heartbeat()
         self._watch = ProcessWatch(self.node)
-        self._actions: dict[str, PatientActionClient] = {}
-        self._unanswered: list[PatientActionClient] = []
-        for action in ACTIONS:
-            self._connect(action)
+        self._actions = {
+            name: PatientActionClient(self.node, action_type, topic)
+            for name, (action_type, topic) in ACTIONS.items()}
         self._services: dict[tuple[MessageType, str], rclpy.client.Client] = {}
         self._running: str | None = None
 
@@ -127,21 +123,13 @@ class Client:
         self._executor.remove_node(self.node)
         self._executor.shutdown()
         # At exit, Python would destroy these after the objects that they depend on.
-        for client in [*self._actions.values(), *self._unanswered]:
+        for client in self._actions.values():
             client.destroy()
         self._actions.clear()
-        self._unanswered.clear()
         for service in self._services.values():
             self.node.destroy_client(service)
         self._services.clear()
         leave(self.node)
-
-    def _connect(self, name: str) -> None:
-        """Make an action client, in place of one whose server's responses do not arrive."""
-        if name in self._actions:  # kept: it may still receive one, or run another goal
-            self._unanswered.append(self._actions[name])
-        action_type, topic = ACTIONS[name]
-        self._actions[name] = PatientActionClient(self.node, action_type, topic)
 
     def run_experiment(self, experiment: str, directory: AnyPath,
                        **options: Any) -> RunExperiment.Result:
@@ -241,7 +229,8 @@ class Client:
         Raises `GoalFailed` if there is no server, or it rejected the goal.
         """
         action_type, topic = ACTIONS[name]
-        self._await(self._actions[name].server_is_ready, topic)
+        client = self._actions[name]
+        self._await(client.server_is_ready, topic)
         goal = action_type.Goal(
             **{"client": self.node.get_fully_qualified_name(), **with_absolute_paths(fields)})
         set_deadline(goal, ACCEPTANCE_TIMEOUT_S)
@@ -249,7 +238,7 @@ class Client:
 
         def ask() -> Future:
             # The same number for every attempt: if only the response was lost, the goal acts once.
-            return self._actions[name].send_goal_async(goal, pass_on, number)
+            return client.send_goal_async(goal, pass_on, number)
 
         def pass_on(message: Message) -> None:
             nonlocal on_feedback
@@ -261,15 +250,15 @@ class Client:
         sent: list[Future] = []
         with self._signals.hold():
             try:
-                handle = self._accepted(name, number, sent, ask)
+                handle = self._accepted(client, topic, sent, ask)
             except GoalFailed:
                 raise
             except BaseException:
                 if sent:  # the goal may have been accepted and must not run on alone
-                    self._withdraw(name, number)
+                    self._withdraw(client, number, action_type, topic)
                 raise
         if handle is None:
-            self._withdraw(name, number)
+            self._withdraw(client, number, action_type, topic)
             raise GoalFailed(name, action_type.Result(message=(
                 f"{self._server(topic)} did not report whether it took the goal: see its log, "
                 "send the goal again")))
@@ -295,7 +284,7 @@ class Client:
             return f"it is {reported[-1].message}"
         return "it is busy with another goal or not active, its log states which"
 
-    def _accepted(self, name: str, number: UUID, sent: list[Future],
+    def _accepted(self, client: PatientActionClient, topic: str, sent: list[Future],
                   ask: Callable[[], Future]) -> ClientGoalHandle | None:
         """Send a goal, repeatedly if necessary; return the handle, or None without a response."""
         def settled() -> bool:
@@ -303,33 +292,26 @@ class Client:
                     or all(answer.done() for answer in sent))
 
         begun_s, wait_s = time.monotonic(), LOST_RESPONSE_S
-        first, waiting = self._actions[name], Waiting(self.node, ACTIONS[name][1])
+        waiting = Waiting(self.node, topic)
         while (waited_s := time.monotonic() - begun_s) < ACCEPTANCE_TIMEOUT_S:
             waiting.look(waited_s)
-            if len(sent) == ATTEMPTS_OF_ACTION_CLIENT:
-                self._connect(name)
-                sent.clear()
             sent.append(ask())
-            client = self._actions[name]
             if not self.spin_until(settled, min(wait_s, ACCEPTANCE_TIMEOUT_S - waited_s)):
                 client.settle()
             wait_s = min(2.0 * wait_s, WORD_AFTER_S)
             if settled():
-                handle = max((answer.result() for answer in sent if answer.done()),
-                             key=lambda handle: handle.accepted)
-                if client is not first and not handle.accepted:
-                    # A server rejects a goal that it has: the acceptance was lost.
-                    self.spin_until(partial(client.took, number), LAST_ANSWER_S)
-                    return client.accepted(number) if client.took(number) else handle
-                return handle
+                handles = [answer.result() for answer in sent if answer.done()]
+                return max(handles, key=lambda handle: handle.accepted)
             if not client.server_is_ready():  # a restarted node has not appeared yet
-                self._await(client.server_is_ready, ACTIONS[name][1])
+                self._await(client.server_is_ready, topic)
         return None
 
-    def _withdraw(self, name: str, number: UUID) -> None:
+    def _withdraw(self, client: PatientActionClient, number: UUID, action_type: MessageType,
+                  topic: str) -> None:
         """Cancel a goal that may be running; wait for its end if it is."""
-        handle = self._actions[name].accepted(number)
-        self._cancel(handle, handle.get_result_async(), ACTIONS[name][1])
+        handle = ClientGoalHandle(
+            client, number, action_type.Impl.SendGoalService.Response(accepted=True))
+        self._cancel(handle, handle.get_result_async(), topic)
 
     def _cancel(self, handle: ClientGoalHandle, result: Future, topic: str) -> None:
         """Cancel a goal; wait for its end for a limited time."""
@@ -441,8 +423,7 @@ class Client:
             action_type, topic = ACTIONS[self._running]
             raise GoalFailed(self._running, action_type.Result(
                 message=f"the node that serves {topic} has ended: start it again"))
-        for client in (self._actions[self._running], *self._unanswered):
-            client.ask_again()
+        self._actions[self._running].ask_again()
 
     def heard(self, message_type: MessageType, topic: str, quality: QoSProfile | int,
               enough: Callable[[list[Message]], object], timeout_s: float) -> list[Message]:

@@ -49,20 +49,12 @@ class PatientActionClient(ActionClient):
                             if one.status in ENDED}
         await super().execute(taken_data)
 
-    def took(self, number: UUID) -> bool:
-        """Return whether a received status lists the goal: its server accepted it."""
-        return bytes(number.uuid) in self._taken
-
-    def accepted(self, number: UUID) -> ClientGoalHandle:
-        """Return the handle of a goal whose acceptance did not arrive."""
-        return ClientGoalHandle(
-            self, number, self._action_type.Impl.SendGoalService.Response(accepted=True))
-
     def settle(self) -> None:
         """Treat goals in a received status as accepted; call it when a response is late."""
+        accepted = self._action_type.Impl.SendGoalService.Response(accepted=True)
         for number, answer in self._unanswered:
-            if self.took(number) and not answer.done():
-                answer.set_result(self.accepted(number))
+            if bytes(number.uuid) in self._taken and not answer.done():
+                answer.set_result(ClientGoalHandle(self, number, accepted))
 
     def ask_again(self) -> None:
         """Ask again for the results of goals that have ended; call it when a result is late."""
