@@ -16,6 +16,12 @@ FEWEST_EDGES = 6
 EARLY_EDGE = "early_edge"
 """Column of a recording with `GeneratorEdges.early`, by which its simulation moves the edges."""
 
+INSTANT = 2
+"""Column of `GeneratorEdges.directions` in which all edges move alike."""
+
+STEP = 1e-3
+"""Step of numerical derivatives by the edges, in sample periods."""
+
 LATE_EDGE = 0.1
 """Largest deviation of the edges from a constant period and duty, in sample periods."""
 

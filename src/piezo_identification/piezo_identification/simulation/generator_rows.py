@@ -7,7 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.generator_edges import EARLY_EDGE, generator_edges
+from piezo_identification.conditioning.generator_edges import (
+    EARLY_EDGE,
+    INSTANT,
+    STEP,
+    generator_edges,
+)
 from piezo_identification.conditioning.waveforms import played, square_part, two_levels
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
@@ -16,12 +21,6 @@ from piezo_recorder.reading.recording import Recording
 
 ROUNDS = 3
 """Number of linearised fits of the edges; the samples bound their times to a small range."""
-
-STEP = 1e-3
-"""Step of the numerical derivatives by the edges, in rows."""
-
-INSTANT = 2
-"""Column of `GeneratorEdges.directions` in which all edges move alike."""
 
 
 def with_generator_edges(model: StageModel, recordings: Sequence[Recording],

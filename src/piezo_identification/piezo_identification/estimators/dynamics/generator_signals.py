@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.conditioning.generator_edges import GeneratorEdges
+from piezo_identification.conditioning.generator_edges import INSTANT, STEP, GeneratorEdges
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit
 from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import free_fits
@@ -18,12 +18,6 @@ MODES_TO_DECIDE = 2
 
 ROUNDS = 2
 """Number of fits of the edges, each after one of the poles: they hardly affect each other."""
-
-STEP = 1e-3
-"""Step of the numerical derivatives by the edges, in sample periods."""
-
-INSTANT = 2
-"""Column of `GeneratorEdges` directions in which all edges move alike."""
 
 
 def with_edges_between(
