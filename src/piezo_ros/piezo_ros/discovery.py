@@ -2,6 +2,10 @@
 """Set up the middleware for this process: discovery, liveliness and asynchronous sending."""
 
 import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -19,6 +23,9 @@ LEASE_S = {LOOPBACK: 600.0, NETWORK: 3.0}
 ANNOUNCEMENT_S = 0.5
 # Time after which a reliable writer repeats lost messages.
 RESENT_AFTER_S = 0.1
+# Messages that a reader has not acknowledged, after which a writer that holds back waits for it; a
+# socket of the usual size has room for so many blocks of samples.
+MOST_UNACKNOWLEDGED = 50
 # The last announcement may be one period old already, and the next one late.
 LONGEST_STANDSTILL_S = LEASE_S[NETWORK] - 2.0 * ANNOUNCEMENT_S
 
@@ -56,6 +63,43 @@ def _stays_here(profile: str) -> bool:
         return False
     chosen = os.environ.get(RANGE, "LOCALHOST").upper()
     return chosen == "LOCALHOST" or (chosen == "SYSTEM_DEFAULT" and profile == LOOPBACK.name)
+
+
+@contextmanager
+def holding_back(topic: str, arguments: Sequence[str]) -> Iterator[None]:
+    """Let the node created meanwhile hold back the messages of a topic; it keeps all of them.
+
+    By default a writer that keeps all its messages goes 5000 ahead of a slow reader. What does not
+    fit into the socket of the reader is sent again and again, and answers to requests of the reader
+    do not get through. With this, the writer waits after `MOST_UNACKNOWLEDGED` messages.
+
+    The middleware knows such limits only by the full name of the topic, and from its profile. The
+    name follows from the namespace in the arguments of the process. A profile of the user is not
+    changed.
+    """
+    own = os.environ.get(PROFILES, "")
+    if own not in map(str, (LOOPBACK, NETWORK)):
+        yield
+        return
+    namespaces = [found[1] for each in arguments if (found := re.search(r"__ns:=(\S+)", each))]
+    name = f"{namespaces[-1].rstrip('/') if namespaces else ''}/{topic}"
+    nanoseconds = round(RESENT_AFTER_S * 1e9)
+    writer = f"""<data_writer profile_name="{name}">
+      <topic><resourceLimitsQos>
+        <max_samples>{MOST_UNACKNOWLEDGED}</max_samples>
+        <max_samples_per_instance>{MOST_UNACKNOWLEDGED}</max_samples_per_instance>
+        <allocated_samples>{MOST_UNACKNOWLEDGED}</allocated_samples>
+      </resourceLimitsQos></topic>
+      <times><heartbeatPeriod><sec>0</sec><nanosec>{nanoseconds}</nanosec></heartbeatPeriod></times>
+    </data_writer></profiles>"""
+    with tempfile.TemporaryDirectory() as directory:
+        profile = Path(directory) / Path(own).name
+        profile.write_text(Path(own).read_text().replace("</profiles>", writer))
+        os.environ[PROFILES] = str(profile)
+        try:
+            yield
+        finally:
+            os.environ[PROFILES] = own
 
 
 def deliver_in_background() -> None:

@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NoReturn
 
@@ -17,7 +18,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from piezo_ros.discovery import LONGEST_STANDSTILL_S, prepare_discovery
+from piezo_ros.discovery import LONGEST_STANDSTILL_S, holding_back, prepare_discovery
 from piezo_ros.executor import make_executor, spin_once
 from piezo_ros.heartbeat import Heartbeat
 from piezo_ros.late_responses import answer_impossible_transitions
@@ -82,7 +83,7 @@ def autostart(node: LifecycleNode, default: bool = True) -> None:
 
 
 def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
-             expendable: bool = True) -> None:
+             expendable: bool = True, held_back: str = "") -> None:
     """Run one node until SIGINT or SIGTERM, or until it has been suspended for too long.
 
     If its end takes longer than 120 s, for example because the middleware blocks, the process
@@ -103,6 +104,8 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
     expendable : bool
         True to limit the node's memory by its parameter ``memory_limit_percent``, and to make the
         kernel end it before other nodes.
+    held_back : str
+        Topic of the node's namespace whose readers the node waits for; see ``holding_back``.
 
     Raises
     ------
@@ -111,7 +114,7 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
         so long that the other nodes gave it up.
     """
     ending = Ending()
-    node = _start(create_node, args, expendable)
+    node = _start(create_node, args, expendable, held_back)
     executor = make_executor()
     executor.add_node(node)
     watch = ProcessWatch(node)
@@ -135,7 +138,8 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
         sys.exit(FAILED_STATUS)
 
 
-def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: bool) -> Node:
+def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: bool,
+           held_back: str) -> Node:
     prepare_discovery()
     answer_patiently()
     try:
@@ -144,7 +148,9 @@ def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: 
         _refuse(str(error).split(", at /")[0])
     reason = ""
     try:
-        node = create_node()
+        with (holding_back(held_back, sys.argv if args is None else args)
+              if held_back else nullcontext()):
+            node = create_node()
         if expendable:
             _limit_memory(node)
     except ValueError as error:

@@ -204,13 +204,14 @@ class StageNode(LifecycleNode):
 def run_stage(create_node: Callable[[], StageNode], args: list[str] | None = None) -> None:
     """Run a stage node; see ``run_node``.
 
-    The ticks of a paced stage do not wait for subscribers. In lockstep they wait anyway, and a
-    delivering thread would cost time in every tick. The kernel ends this node last of all when
-    memory runs out.
+    The ticks of a paced stage do not wait for subscribers. In lockstep they do, after few blocks,
+    and a delivering thread would cost time in every tick. The kernel ends this node last of all
+    when memory runs out.
     """
-    if not arguments_set("timing", "lockstep", sys.argv if args is None else args):
+    lockstep = arguments_set("timing", "lockstep", sys.argv if args is None else args)
+    if not lockstep:
         deliver_in_background()
-    run_node(create_node, args, expendable=False)
+    run_node(create_node, args, expendable=False, held_back="samples" if lockstep else "")
 
 
 def main(args: list[str] | None = None) -> None:
