@@ -69,27 +69,37 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
         _noise_um(alternatives, dataset.simulated[0].sample_period_s),
         SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions),
         alternatives.misfit * max(np.std(predicted) for predicted in predictions)], dtype=float))
+    of_effects = [sensitivities(
+        lambda effects, part=part: part.simulate(effects)[rows], alternative.fit.effects)
+        for part, alternative in zip(parts, known, strict=True)]
+    # In an orthonormal basis of all of them, the rows of the waveform become few.
+    shared, *columns = _in_common_basis([dataset.regressors, *of_effects, *(
+        (predicted / error_um)[:, np.newaxis] for predicted in predictions)])
+    own, predicted = columns[:count], columns[count:]
     rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
     for other, alternative in enumerate(known):
-        of_effects = sensitivities(
-            lambda effects, part=parts[other]: part.simulate(effects)[rows],
-            alternative.fit.effects)
-        columns = np.hstack([dataset.regressors, of_effects]) / error_um
         root = alternative.information
         before = np.hstack([np.zeros((len(root), dataset.nuisance_count)), root])
-        basis, _ = np.linalg.qr(np.vstack([columns, before]))
-        for true, predicted in enumerate(predictions):
-            if true != other:
-                difference = np.concatenate([
-                    (predicted - predictions[other]) / error_um, np.zeros(len(root))])
-                remaining = difference - basis @ (basis.T @ difference)
-                rms_um[true, other] = error_um * np.sqrt(np.mean(remaining[: rows.size] ** 2))
-                # Alternatives are compared on the held-out part of the data.
-                distance[true, other] = np.linalg.norm(remaining) / np.sqrt(SPLIT.held_out)
+        basis, _ = np.linalg.qr(np.vstack([
+            np.hstack([shared, own[other]]) / error_um, before]))
+        for true in set(range(count)) - {other}:
+            difference = np.concatenate([
+                predicted[true][:, 0] - predicted[other][:, 0], np.zeros(len(root))])
+            remaining = difference - basis @ (basis.T @ difference)
+            rms_um[true, other] = error_um * np.linalg.norm(
+                remaining[: len(shared)]) / np.sqrt(rows.size)
+            # Alternatives are compared on the held-out part of the data.
+            distance[true, other] = np.linalg.norm(remaining) / np.sqrt(SPLIT.held_out)
     chances = np.array([alternative.probability for alternative in alternatives.alternatives])
     deciding = _deciding(distance, chances)
     # Chances sum to one except for rounding.
     return ExpectedOutcome(rms_um, distance, deciding, min(float(deciding @ chances), 1.0))
+
+
+def _in_common_basis(columns: list[FloatArray]) -> list[FloatArray]:
+    """Return the columns in an orthonormal basis of all of them, which keeps their products."""
+    triangle = np.linalg.qr(np.hstack(columns), mode="r")
+    return np.hsplit(triangle, np.cumsum([each.shape[1] for each in columns])[:-1])
 
 
 def _deciding(distance: FloatArray, chances: FloatArray) -> FloatArray:
