@@ -365,6 +365,10 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
     ringing = [effect for effect in given.effects
                if isinstance(effect, VibrationMode) and _rings(problem, effect)]
     if given.dynamics.is_static and not ringing:
+        # Loops compensate for creep that the step-by-step estimate did not find.
+        creep = _creep_as_far_as(_without_gaps(given.creep), 1.0 / problem.sample_period_s)
+        if is_loop_recorded and creep != given.creep:
+            yield Structure("creep as fast as the rows", replace(given, creep=creep), delay_s)
         return
     others = tuple(effect for effect in given.effects
                    if not isinstance(effect, VibrationMode | AmplifierLag | SensorLag))
@@ -702,7 +706,11 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     model, delay_s = fit.model, fit.delay_s
     kinds = {type(effect) for effect in model.effects}
     if model.dynamics.is_static and not kinds:
-        return  # Only slow recordings were given, which show nothing fast.
+        # Only slow recordings were given, which show nothing fast, and creep far from the optimum.
+        for structure in (*_with_creep_between(model, delay_s),
+                          *_with_faster_creep(problem, model, delay_s)):
+            yield replace(structure, is_far=True)
+        return
     if delay_s is None:
         yield Structure("with a delay", model, 0.0)
     # A part of an existing lag may belong elsewhere.
@@ -715,11 +723,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         yield Structure("with a sensor's lag", _with(earlier, SensorLag(lag_s)), earlier_s)
     if model.dynamics.time_constant_s == 0.0:
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
-    if len(model.creep.poles_rad_per_s) > 1:
-        gap, _ = _widest_gap(model.creep)
-        slow, fast = model.creep.poles_rad_per_s[gap : gap + 2]
-        yield Structure(f"with creep between {slow:.3g} and {fast:.3g} rad/s", replace(
-            model, creep=_with_pair_between(model.creep)), delay_s)
+    yield from _with_creep_between(model, delay_s)
     if problem.fastest_over_noise(fit) < SETTINGS.above_noise:
         return
     for place, effect in enumerate(model.effects):
@@ -727,9 +731,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
             yield Structure("its amplifier of second order", _with(
                 _without(model, place), SecondOrderAmplifier(effect.time_constant_s)), delay_s)
     yield from _with_damped_mode_in_front(model, delay_s)
-    creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
-    if creep != model.creep:
-        yield Structure("with faster creep", replace(model, creep=creep), delay_s)
+    yield from _with_faster_creep(problem, model, delay_s)
     if problem.responses:
         return  # The search for the order of the response has chosen its modes.
     shown = min(problem.evidence(fit), key=lambda evidence: evidence.sample_period_s)
@@ -740,6 +742,21 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         if any(type(effect) is CoupledMode for effect in model.effects):
             yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
                 model, CoupledMode(*mode.parameters().values())), delay_s)
+
+
+def _with_creep_between(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
+    if len(model.creep.poles_rad_per_s) > 1:
+        gap, _ = _widest_gap(model.creep)
+        slow, fast = model.creep.poles_rad_per_s[gap : gap + 2]
+        yield Structure(f"with creep between {slow:.3g} and {fast:.3g} rad/s", replace(
+            model, creep=_with_pair_between(model.creep)), delay_s)
+
+
+def _with_faster_creep(problem: WholeModel, model: StageModel,
+                       delay_s: float | None) -> Iterator[Structure]:
+    creep = _creep_as_far_as(model.creep, 1.0 / problem.sample_period_s, 1)
+    if creep != model.creep:
+        yield Structure("with faster creep", replace(model, creep=creep), delay_s)
 
 
 def _with_damped_mode_in_front(model: StageModel, delay_s: float | None) -> Iterator[Structure]:

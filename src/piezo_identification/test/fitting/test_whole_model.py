@@ -13,6 +13,7 @@ from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.structure_search import (
     begun,
     has_amplifier,
+    is_at_noise,
     is_better,
     searched,
     starts,
@@ -142,6 +143,23 @@ def test_a_mode_in_series_that_an_antiresonance_cancels_is_left_out_with_it(plan
                    if each.change.startswith("without the mode of 420 rad/s"))
     assert without.model.dynamics == own
     assert is_better(problem.fit(without.model, without.delay_s, 0), fit)
+
+
+def test_creep_that_is_missing_is_found_without_fast_recordings(plant, play):
+    stage = replace(plant, dynamics=ElectricVibrationDynamics(0.0))
+    parts = [play(experiments.creep(period_s=60.0), 1, 100.0, stage=stage),
+             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+                  stage=stage)]
+    slower = replace(stage, creep=CreepDynamics(*(
+        rates[:2] for rates in (stage.creep.poles_rad_per_s, stage.creep.zeros_rad_per_s))))
+    problem = WholeModel(slower, parts, [0.0, 0.0])
+    best, tried = sought(problem, slower)
+    frequency_hz = np.geomspace(0.05, 10.0, 50)
+    right, wrong = (np.abs(model.response(frequency_hz) / stage.response(frequency_hz) - 1.0)
+                    for model in (best.model, tried[1][1].model))
+    assert best.model.dynamics.is_static
+    assert is_at_noise(problem, best)
+    assert right.max() < 1e-3 < 0.1 * wrong.max()
 
 
 def test_modes_that_velocities_turn_alike_become_modes_in_phase_behind_a_delay(wrong):
