@@ -14,6 +14,7 @@ from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import (
     ADEQUATE,
+    INADEQUATE,
     adequacy_document,
     adequacy_of,
     overall_verdict,
@@ -22,7 +23,7 @@ from piezo_identification.adequacy.component_adequacy import (
 from piezo_identification.adequacy.loop_shape import refuse_impossible_loops
 from piezo_identification.adequacy.model_plausibility import implausible_data, implausible_model
 from piezo_identification.conditioning.row_alignment import RowDelay
-from piezo_identification.conditioning.segments import Recordings
+from piezo_identification.conditioning.segments import Recordings, experiment_of
 from piezo_identification.conditioning.waveforms import played, turns_inside
 from piezo_identification.estimators.estimate import unidentified_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -179,7 +180,6 @@ def identify(
             with while_time_lasts("the separate steps without the hum", SECOND_PASS):
                 steps = _step_by_step(conditioned, order, density, stages, 0.2, 0.05)
         linear, estimate, first_rise = steps.linear, steps.estimate, steps.first_rise
-        report_implausible(steps.impossible, note)
         report_estimates(linear, estimate, note)
         report_single_loop(of_kind(steps.recordings, "hysteresis"), estimate, note)
         report_starts(steps.recordings, steps.cycled, linear, first_rise, note)
@@ -202,6 +202,9 @@ def identify(
         adequacy = adequacy_document(adequacy_of(fitted.model, conditioned, delays_s, [
             name for name, number in (("creep", order.creep_pairs), ("dynamics", order.modes))
             if number is not None]))
+        if any(each["verdict"] == INADEQUATE and experiment_of(name) == "hysteresis"
+               for name, each in adequacy.items()):
+            report_implausible(steps.impossible, note)
         if overall_verdict(adequacy) == ADEQUATE:
             report_implausible(
                 unseen_errors_beyond_noise(fitted.model, conditioned, delays_s), note)
@@ -224,7 +227,7 @@ class _Steps:
     recordings: dict[str, Data]
     """Aligned recordings."""
     impossible: list[str]
-    """Why loops are implausible."""
+    """Why loops are implausible behind this creep and these dynamics."""
     estimate: DensityEstimate
     first_rise: FirstRise | None
     cycled: Mapping[str, Data]
