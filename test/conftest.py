@@ -17,6 +17,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
+from short_work import FEW_SCALINGS
 from std_srvs.srv import Trigger
 
 from piezo_bringup.processes import USUAL_NODES, Processes
@@ -401,8 +402,11 @@ def near_model():
 
 @pytest.fixture(scope="session")
 def near_controller(near_model):
-    """Default feedback for ``near_model``."""
-    return design_feedback(near_model, load_weights())
+    """Default feedback for ``near_model``, of few scalings."""
+    with pytest.MonkeyPatch.context() as patch:
+        for change in FEW_SCALINGS:
+            patch.setattr(*change)
+        return design_feedback(near_model, load_weights())
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from unittest import mock
 
-from undrawn import work_undrawn
+from short_work import work_shortly
 
 from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
 
@@ -23,8 +23,9 @@ from piezo_bringup.processes import EXECUTABLES, NodeProcess, Processes
 class ForkedProcesses(Processes):
     """Like `Processes`, but without the seconds in which every node imports its libraries.
 
-    A node runs the code of its executable in a separate process, but draws nothing and runs its
-    fits one after the other. A fork ends without the usual shutdown of the interpreter.
+    A node runs the code of its executable in a separate process, but draws nothing, searches
+    briefly and runs its fits one after the other. A fork ends without the usual shutdown of the
+    interpreter.
     """
 
     def start_main(self, name: str, main: Callable[[], object], arguments: Iterable[str]) -> None:
@@ -98,8 +99,7 @@ def _server() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([
         *(_entry(name).__module__ for name in EXECUTABLES), "started_before",
-        work_undrawn.__module__,
-        "rosidl_generator_py"])  # by which a node imports its messages
+        work_shortly.__module__, "rosidl_generator_py"])  # by which a node imports its messages
     # Python 3.11 seeks them without this process's sys.path, and passes over what it does not find.
     with mock.patch.dict(os.environ, PYTHONPATH=os.pathsep.join(sys.path)):
         ensure_running()
@@ -130,5 +130,5 @@ def _run(main: Callable[[], object], command: list[str], log: Path,
     os.environ.update(environment)
     sys.argv = command
     assert "started_before" in sys.modules, "the fork server did not find what nodes start with"
-    work_undrawn()
+    work_shortly()
     main()

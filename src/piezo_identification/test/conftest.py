@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A plant of its own: the thesis' parameters and a density that is no sum f(alpha) + g(beta)."""
 
+import os
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,13 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 from piezo_identification.conditioning.waveforms import played
+from piezo_identification.diagnosis.comparison import selection
+from piezo_identification.estimators.dynamics import pole_search
+from piezo_identification.estimators.dynamics.pole_search import MOST_MODES
 from piezo_identification.fitting import structure_search
 from piezo_identification.identification import one_fit
 from piezo_models.cascade import StageModel
+from piezo_models.effects import known_effects
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -46,6 +52,38 @@ def plant():
 def noise():
     """Draw white noise of unit variance."""
     return np.random.default_rng(3).normal(size=40_000)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def few_poles():
+    """Let the search for the poles of a fast record begin with 4 modes; no stage here has more.
+
+    `make long` and the tests of this search begin with as many as users do.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if "LONG_TESTS" not in os.environ:
+            patch.setattr(pole_search, "MOST_MODES", 4)
+        yield
+
+
+@pytest.fixture
+def many_poles(monkeypatch):
+    """Let it begin with the modes with which it begins for users."""
+    monkeypatch.setattr(pole_search, "MOST_MODES", MOST_MODES)
+
+
+@pytest.fixture(scope="session")
+def few_effects():
+    """Returns a context in which a diagnosis compares few effects: for tests of what surrounds it."""
+    @contextmanager
+    def compared(*more):
+        names = {"delay", "sensor_lag", "vibration_mode", *more}
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(selection, "known_effects", lambda: {
+                name: kind for name, kind in known_effects().items() if name in names})
+            yield
+
+    return compared
 
 
 @pytest.fixture(scope="module")

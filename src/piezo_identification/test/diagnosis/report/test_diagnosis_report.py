@@ -17,9 +17,10 @@ MODE = VibrationMode(2.0 * np.pi * 1400.0, 0.03, 0.05)
 
 
 @pytest.fixture(scope="module")
-def diagnosis(plant, play):
+def diagnosis(plant, play, few_effects):
     experiment = experiments.validation(arc_s=0.015, tones_s=0.06)
-    return diagnose(plant, [play(experiment, 1, stage=replace(plant, effects=(MODE,)))])
+    with few_effects("thermal_drift", "backlash", "creep"):
+        return diagnose(plant, [play(experiment, 1, stage=replace(plant, effects=(MODE,)))])
 
 
 @pytest.fixture(scope="module")

@@ -39,6 +39,7 @@ def test_creep_left_from_before_does_not_disturb(plant, play):
     assert estimate.mode_frequencies_rad_per_s == pytest.approx((2846.0, 4909.0), rel=1e-5)
 
 
+@pytest.mark.usefixtures("many_poles")
 @pytest.mark.parametrize("truth", [
     ElectricVibrationDynamics(0.001),
     pytest.param(ElectricVibrationDynamics(0.001, (3000.0,), (0.1,)), marks=pytest.mark.long),
