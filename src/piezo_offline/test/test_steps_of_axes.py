@@ -10,7 +10,7 @@ import piezo_offline
 from piezo_models import IdentifiedAxes
 from piezo_recorder import RecordingError
 
-ROWS = 800
+ROWS = 500
 GAIN = np.array([[0.2, 0.004], [-0.003, 0.15]])
 
 

@@ -249,7 +249,7 @@ HALF_V, WEIGHT, RANGE_V = 2.0, 0.3, 80.0
 
 def with_plays(model):
     """Return the model with the play in front of each axis, as Preisach hysteresis."""
-    cells = 640  # a play is a line of the density, as narrow as a cell
+    cells = 320  # a play is a line of the density, as narrow as a cell
     cell_v, density = 2.0 * RANGE_V / cells, np.zeros((cells, cells))
     away = round(2.0 * HALF_V / cell_v)
     density[np.arange(away, cells), np.arange(cells - away)] = WEIGHT / cell_v

@@ -28,7 +28,7 @@ def files(play, csv_of, tmp_path_factory):
     directory = tmp_path_factory.mktemp("with a space")
     makers = {
         "creep": lambda: play(experiments.creep(), 1, 100.0),
-        "dynamics": lambda: play(experiments.dynamics(duration_s=0.4), 1),
+        "dynamics": lambda: play(experiments.dynamics(duration_s=0.25), 1),
         "hysteresis": lambda: play(experiments.hysteresis(level_count=16), 1, 1000.0),
         "validation": lambda: play(experiments.validation(), 1),
     }

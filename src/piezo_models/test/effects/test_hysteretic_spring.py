@@ -34,8 +34,8 @@ def solved(time_s, linear, viscous, stiffness, beta, gamma, exponent):
                 stiffness * speed - beta * abs(speed) * part**exponent * math.copysign(1.0, z)
                 - gamma * speed * part**exponent)
 
-    return solve_ivp(motion, (0.0, time_s[-1]), (0.0, 0.0, 0.0), "LSODA", time_s, rtol=1e-8,
-                     atol=1e-10, max_step=PERIOD_S).y[0]
+    return solve_ivp(motion, (0.0, time_s[-1]), (0.0, 0.0, 0.0), "LSODA", time_s, rtol=1e-7,
+                     atol=1e-9, max_step=PERIOD_S).y[0]
 
 
 def unloaded(time_s):
@@ -47,7 +47,7 @@ def unloaded(time_s):
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
 def test_it_is_the_solution_of_the_equation_of_motion(shape):
-    time_s = np.arange(1000) * PERIOD_S
+    time_s = np.arange(600) * PERIOD_S
     spring = HystereticSpring(*shape, 0.0, HALF_RANGE_UM, W, DAMPING)
     linear_um, expected_um = unloaded(time_s), solved(time_s, *shape)
     found_um = spring.apply(linear_um, PERIOD_S, 0.0)

@@ -57,7 +57,8 @@ def finely_simulated_um(effect, voltage_v, rate=RATE):
 
 
 @pytest.mark.parametrize("effect", [
-    AmplifierLag(LAG_S), SecondOrderAmplifier(LAG_S, 0.5)], ids=["first", "second"])
+    AmplifierLag(LAG_S), pytest.param(SecondOrderAmplifier(LAG_S, 0.5), marks=pytest.mark.long)],
+    ids=["first", "second"])
 def test_what_rings_within_a_row_has_the_phase_of_the_lag(effect):
     voltage_v = staircase_v()
     true_um = finely_simulated_um(effect, voltage_v)

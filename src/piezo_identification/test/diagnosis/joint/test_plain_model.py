@@ -18,7 +18,7 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.sample_block import Flag
 
-PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 2000, 1e-3, 0.5
+PERIOD_S, SAMPLES, NOISE_UM, GAIN_UM_PER_V = 1e-3, 1400, 1e-3, 0.5
 MODE_RAD_PER_S, DAMPING_RATIO, CUBIC_PER_UM2 = 300.0, 0.05, 1e-4
 FADED_IN_S = 0.3
 LINES_HZ = np.arange(2.0, 120.0, 1.0)
@@ -44,7 +44,7 @@ def recording(seed, amplitude_v=20.0, cubic_per_um2=CUBIC_PER_UM2):
                           - 2.0 * DAMPING_RATIO * MODE_RAD_PER_S * velocity)
 
     time_s = PERIOD_S * np.arange(SAMPLES)
-    found = solve_ivp(moved, (0.0, time_s[-1]), (0.0, 0.0), "DOP853", time_s, rtol=1e-7, atol=1e-7)
+    found = solve_ivp(moved, (0.0, time_s[-1]), (0.0, 0.0), "DOP853", time_s, rtol=1e-6, atol=1e-6)
     noise_um = NOISE_UM * generator.normal(size=SAMPLES)
     return logged(voltage_v(time_s), found.y[0] + noise_um, PERIOD_S, f"seed {seed}")
 
