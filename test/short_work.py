@@ -37,7 +37,8 @@ GIVEN_DENSITY = ((DensityOptions, "keywords", lambda _: {
 FEW_EFFECTS = (
     (selection, "known_effects", lambda: {
         kind.name: kind for kind in known_effects().values()
-        if kind.name in ("delay", "sensor_lag", "vibration_mode", "voltage_clipping")}),
+        if kind.name in (
+            "amplifier_lag", "delay", "sensor_lag", "vibration_mode", "voltage_clipping")}),
     (diagnose, "ceiling_of", lambda *_: None))
 """That a diagnosis compares, and no learner of what it leaves."""
 

@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import pytest
+from short_work import FEW_EFFECTS, FEW_POLES, FEW_SCALINGS, WITHOUT_SEARCH
 
 from piezo_offline import steps
 from piezo_recorder.reading.recording import Recording
@@ -48,8 +49,8 @@ def computed_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(steps, "identify_recordings", identify_once)
         patch.setattr(steps, "diagnose_recordings", diagnose_once)
-        # It takes longer than the diagnosis, and no example shows it.
-        patch.setattr("piezo_identification.diagnosis.diagnose.ceiling_of", lambda *_: None)
+        for change in (*FEW_SCALINGS, *FEW_POLES, *WITHOUT_SEARCH, *FEW_EFFECTS):
+            patch.setattr(*change)
         yield
     assert len(identified) == len(diagnosed) == 1
 

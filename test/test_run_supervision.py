@@ -26,7 +26,7 @@ from piezo_ros.stage_runs.run_account import MAX_LATE_PERCENT
 
 TICK_S = 5e-3
 # Of the stage's time, whose recording takes more than MOST_BYTES.
-RUNS_TO_ITS_END_S = 20.0
+RUNS_TO_ITS_END_S = 8.0
 MOST_BYTES = 1_000_000
 # Longer than any test asks while it lasts; the test ends it.
 GOES_ON_S = 3600.0

@@ -11,6 +11,7 @@ import pytest
 import stored_waveform_node
 from action_msgs.msg import GoalStatus
 from forked_processes import ForkedProcesses
+from probes import SHORT_TONES, write_short_probe
 
 from piezo_client.client import GoalFailed
 from piezo_identification.experiments.catalogue import USUAL_LIMITS, multisine
@@ -51,11 +52,13 @@ def stage(stage_client, tmp_path_factory):
 
 
 def test_experiment_that_fits_the_memory_is_recorded_as_designed(stage, tmp_path):
+    limits = replace(USUAL_LIMITS, sample_rate_hz=RATE_HZ)
+    write_short_probe(tmp_path, limits)
     result = stage.run_experiment("multisine", tmp_path)
     recording = read_recording(result.recording)
     assert recording.complete and recording.gaps == []
     assert recording.sample_rate_hz == RATE_HZ
-    designed = multisine(replace(USUAL_LIMITS, sample_rate_hz=RATE_HZ))
+    designed = multisine(limits, **SHORT_TONES)
     played = recording.select(recording.playing)
     assert np.allclose(played.voltage_v[:designed.voltage_v.size], designed.voltage_v)
     # The stand-in's stage has 1 um/V and shows each voltage one sample later.
