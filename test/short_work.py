@@ -4,10 +4,12 @@
 import os
 from functools import partial
 
+import numpy as np
 from matplotlib.figure import Figure
 from undrawn import save_point
 
 from piezo_common import report_page, side_by_side
+from piezo_controller.feedback import loop_measures
 from piezo_controller.feedback.synthesis import dk_iteration
 from piezo_identification.diagnosis import diagnose
 from piezo_identification.diagnosis.comparison import selection
@@ -21,8 +23,10 @@ UNDRAWN = ((Figure, "savefig", save_point), (report_page, "interactive_item", la
            (side_by_side, "cores", lambda: 1))
 FEW_SCALINGS = (
     (dk_iteration, "tick_frequencies", partial(dk_iteration.tick_frequencies, count=20)),
-    (dk_iteration, "SEARCHED", 1), (dk_iteration, "ITERATIONS", 2))
-"""Of a design of a feedback, whose structured singular value has a third of the frequencies."""
+    (dk_iteration, "SEARCHED", 1), (dk_iteration, "ITERATIONS", 2),
+    (loop_measures, "_frequencies", lambda tick_s: np.geomspace(0.1, 0.5 / tick_s, 1000)))
+"""Of a design of a feedback, whose structured singular value has a third of the frequencies, and
+whose loop is measured at an eighth of them."""
 FEW_POLES = ((pole_search, "MOST_MODES", 4),)
 """Modes with which the search for the poles of a fast record begins; the stage has two."""
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezo_controller.feedback import loop_measures
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.robustness import PlantErrors
 from piezo_controller.feedback.synthesis import dk_iteration
@@ -57,12 +58,15 @@ def controller(stage_model):
 def short_search():
     """Search few scalings: for tests that take a design as given, not for those of its quality.
 
-    The structured singular value is computed at a third of the frequencies meanwhile.
+    The structured singular value is computed at a third of the frequencies meanwhile, and the
+    loop is measured at an eighth of them.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(dk_iteration, "tick_frequencies", partial(tick_frequencies, count=20))
         patch.setattr(dk_iteration, "SEARCHED", 1)
         patch.setattr(dk_iteration, "ITERATIONS", 2)
+        patch.setattr(loop_measures, "_frequencies",
+                      lambda tick_s: np.geomspace(0.1, 0.5 / tick_s, 1000))
         yield
 
 

@@ -45,11 +45,12 @@ def unloaded(time_s):
     return lsim(mode, drive_um(fine_s), fine_s)[1][::20]
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_it_is_the_solution_of_the_equation_of_motion(shape):
+@pytest.mark.parametrize("name", [
+    pytest.param("closing", marks=pytest.mark.long), "opening", "sharp"])
+def test_it_is_the_solution_of_the_equation_of_motion(name):
     time_s = np.arange(600) * PERIOD_S
-    spring = HystereticSpring(*shape, 0.0, HALF_RANGE_UM, W, DAMPING)
-    linear_um, expected_um = unloaded(time_s), solved(time_s, *shape)
+    spring = HystereticSpring(*SHAPES[name], 0.0, HALF_RANGE_UM, W, DAMPING)
+    linear_um, expected_um = unloaded(time_s), solved(time_s, *SHAPES[name])
     found_um = spring.apply(linear_um, PERIOD_S, 0.0)
     assert np.std(linear_um - expected_um) > 0.1 * np.std(expected_um)
     assert np.std(found_um - expected_um) < 2e-3 * np.std(expected_um)

@@ -28,7 +28,7 @@ from piezo_studies.demo.tracking_pictures import amplitude_spectrum
 RATE_HZ = 40_000.0
 MODES = ("open_loop", "feedforward", "composite")
 MODE = VibrationMode(8796.0, 0.01, 0.004)
-FREQUENCIES_HZ = (100.0, 500.0)
+FREQUENCIES_HZ = (100.0,)
 OPERATION = {
     "monitor": {
         "change_s": 65.0, "since_s": 65.1, "sentence": "mode_2_frequency_rad_per_s 4909 -> 5056",

@@ -154,7 +154,9 @@ def test_all_demands_are_met_with_a_light_mode_known_within_five_percent(inverse
 
 
 @pytest.mark.parametrize(("gain", "parameter", "light"),
-                         [(1.0, 0.0, 0.0), (1.12, 0.05, 0.05), (0.88, -0.05, -0.05)])
+                         [(1.12, 0.05, 0.05), *(pytest.param(*other, marks=pytest.mark.long)
+                                                for other in ((1.0, 0.0, 0.0),
+                                                              (0.88, -0.05, -0.05)))])
 def test_a_stage_with_errors_keeps_a_disturbance_down(model, inverse_pi, gain, parameter, light):
     dynamics, hysteresis = model.dynamics, model.hysteresis
     first, second = dynamics.mode_frequencies_rad_per_s
