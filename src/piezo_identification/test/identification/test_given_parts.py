@@ -11,6 +11,8 @@ from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.identification.identify import identify
 from piezo_models.model_file import load_model
 
+pytestmark = pytest.mark.usefixtures("without_search")
+
 
 def loops(tops_v, points):
     """Triangles from 0 V, so many points each."""
@@ -113,7 +115,7 @@ def test_fast_cycles_give_the_hysteresis_where_the_dynamics_are_known(foreign_st
     assert relative_error(model, stage, unseen_v) < 5e-3
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [pytest.param(1.0, marks=pytest.mark.long), -1.0])
 def test_a_frequency_response_alone_gives_a_line(sign, tmp_path, capsys):
     frequency_hz = np.geomspace(5.0, 900.0, 120)
     s = 2j * np.pi * frequency_hz

@@ -76,7 +76,7 @@ def test_loops_are_read_with_their_voltage_where_wrong_dynamics_tell_nothing(
 
 def test_slow_rows_do_not_share_a_reading_behind_their_hold(independent_stage, recorded):
     found = LinearDynamics(dynamics=FAST, read_at_samples=1.4)
-    voltage_v = ways(200)
+    voltage_v = ways(100)
     displacement_um = independent_stage((), ()).displacement_um(voltage_v, 0.02, past_v=CYCLED_V)
     at_end_um = np.append(displacement_um[0], displacement_um[:-1])
     loops = recorded("loops", voltage_v, at_end_um, 0.02)
