@@ -29,7 +29,8 @@ def write_short_probe(directory, limits=USUAL_LIMITS):
         "creep": {"swing_v": swing_v, "period_s": 60.0, "sample_period_s": 0.01},
         "dynamics": {"swing_v": swing_v, "period_s": 0.02, "duration_s": 0.3},
         "hysteresis": {"level_count": 10, "harmonic_period_s": 0.5, "sample_period_s": 1e-3},
-        "validation": SHORT_TONES, "multisine": SHORT_TONES, "relay": {"oscillation_s": 1.0}}, limits)
+        "validation": SHORT_TONES, "multisine": SHORT_TONES,
+        "relay": {"oscillation_s": 1.0}}, limits)
 
 
 def _write(directory, experiments, limits=USUAL_LIMITS):

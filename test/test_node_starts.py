@@ -51,8 +51,11 @@ def interrupted(process, number, condition):
     return process.returncode, said
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("node", NODES)
+# All start by the same function.
+@pytest.mark.parametrize(("node", "number"), [
+    *((node, signal.SIGINT) for node in NODES), ("stage", signal.SIGTERM),
+    *(pytest.param(node, signal.SIGTERM, marks=pytest.mark.long)
+      for node in NODES if node != "stage")])
 def test_interrupt_before_anything_is_loaded_is_one_line(node, number, tmp_path):
     # However late the signal comes, the node still loads its first library of ROS.
     (tmp_path / "rclpy.py").write_text("import time\ntime.sleep(1000.0)\n")

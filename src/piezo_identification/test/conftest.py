@@ -74,7 +74,7 @@ def many_poles(monkeypatch):
 
 @pytest.fixture(scope="session")
 def few_effects():
-    """Returns a context in which a diagnosis compares few effects, for tests of what surrounds it."""
+    """Returns a context in which a diagnosis compares few effects: it is not asked which of all."""
     @contextmanager
     def compared(*more):
         names = {"delay", "sensor_lag", "vibration_mode", *more}

@@ -75,14 +75,15 @@ def test_the_verdict_names_the_recording_that_tells_a_delay_from_a_lag(
 
 @pytest.mark.usefixtures("without_pictures")
 def test_ctrl_c_keeps_the_verdict_and_sets_aside_what_an_earlier_one_proposed(
-        arguments, tmp_path, monkeypatch, capsys):
+        arguments, tmp_path, monkeypatch, few_effects):
     def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(diagnosis_results, "what_would_decide", interrupted)
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "next_experiment.csv").write_text("of an earlier verdict")
-    assert main(arguments) == 130
+    with few_effects("amplifier_lag"):
+        assert main(arguments) == 130
     verdict = json.loads((tmp_path / "out" / "verdict.json").read_text())
     assert verdict["interrupted"] and verdict["next_experiment"] is None
     # So slow a scan does not tell it from a lag, of the amplifier or of the sensor.
