@@ -8,6 +8,7 @@ import pytest
 from piezo_controller.feedback.controller_file import load_stabilising_controller, save_controller
 from piezo_controller.feedback.feedback_design import UnstableLoop
 from piezo_controller.feedback.onboard_law import onboard_law
+from piezo_controller.feedback.sample_rate import perturbed_loops
 from piezo_controller.feedback.sample_rate.named_feedbacks import (
     ERRORS,
     comparison_figure,
@@ -25,6 +26,14 @@ from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
 PERIOD_S, FREQUENCY_HZ, PEAK = 25e-6, 20.0, 2.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_frequencies():
+    """Take half as many about the peak, where most of the time goes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(perturbed_loops, "OVER_PEAK", 1.5)
+        yield
 
 
 @pytest.fixture(scope="module")
