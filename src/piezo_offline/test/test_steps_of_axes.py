@@ -7,6 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 import piezo_offline
+from piezo_identification.axes import diagnosed_errors
+from piezo_identification.axes.axis_effects import AxisEffect
 from piezo_models import IdentifiedAxes
 from piezo_recorder import RecordingError
 
@@ -61,7 +63,10 @@ def test_several_recordings_are_refused_where_one_is_simulated(identified):
         piezo_offline.simulate(identified, [columns(3), columns(4)])
 
 
-def test_an_axis_that_moves_more_is_named(identified, tmp_path):
+def test_an_axis_that_moves_more_is_named(identified, tmp_path, monkeypatch):
+    # Which of all effects is named is asked in the tests of the diagnosis.
+    monkeypatch.setattr(diagnosed_errors, "all_effects", lambda axes: [
+        AxisEffect("gain", axis) for axis in axes])
     more = columns(3)
     more["x_displacement_um"] *= 1.05
     verdict = piezo_offline.diagnose(identified, more)
