@@ -18,7 +18,7 @@ from piezo_identification.simulation import past_search
 
 pytestmark = pytest.mark.usefixtures("without_ceiling")
 
-SAMPLES, NOISE_UM = 1200, 2e-3
+SAMPLES, NOISE_UM = 1800, 2e-3
 MODE = (400.0, 0.1)
 MODEL = line_model(*MODE)
 
