@@ -52,4 +52,5 @@ def work_shortly() -> None:
     short = () if os.environ.get("LONG_TESTS") else (
         *FEW_SCALINGS, *FEW_POLES, *WITHOUT_SEARCH, *GIVEN_DENSITY, *FEW_EFFECTS)
     for owner, name, instead in (*UNDRAWN, *short):
+        assert hasattr(owner, name), f"{owner} has no {name} any more"
         setattr(owner, name, instead)
