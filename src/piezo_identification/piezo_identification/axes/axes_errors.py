@@ -29,6 +29,7 @@ from piezo_identification.axes.predict_axes import (
     simulated_um,
 )
 from piezo_identification.axes.spectra import played_lines
+from piezo_identification.estimators.dynamics.fast_record import COLLINEAR
 from piezo_identification.estimators.estimate import FINEST
 from piezo_identification.fitting.clustered_covariance import (
     clustered_covariance,
@@ -48,9 +49,6 @@ STEP = 1e-5
 HYSTERESIS_WIDTH = 0.5
 """Prior width of the changes of the hysteresis, relative to that of `free_parameters`. At 1, small
 loops follow what the model lacks; at 0.2, the loops of the slow recordings are explained less."""
-
-ALIKE = 1e-9
-"""Singular value of the decays, relative to the largest, below which a direction is rounding."""
 
 LOWEST_BAND = 64
 """Lines of the lowest band of a periodic recording, which determine a variance to a tenth. Each
@@ -278,7 +276,7 @@ def _stepped(vector: FloatArray, place: int) -> FloatArray:
 def _compared(part: _Part, model: CoupledModel) -> _Compared:
     left_um = part.measured_um - part.motion_um(model, part.recording.voltage_v)
     nuisance, sizes, directions = np.linalg.svd(part.before(model), full_matrices=False)
-    kept = sizes > ALIKE * sizes[0]
+    kept = sizes > COLLINEAR * sizes[0]
     nuisance = nuisance[:, kept]
     along = nuisance.T @ left_um
     coefficients = directions[kept].T @ (along / sizes[kept, None])

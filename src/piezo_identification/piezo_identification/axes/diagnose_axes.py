@@ -22,24 +22,21 @@ from piezo_identification.axes.diagnosed_errors import (
     by_effect,
     joined_values,
 )
-from piezo_identification.diagnosis.comparison.criteria import CRITERIA
-from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, LISTED
+from piezo_identification.conditioning.row_alignment import SIGNIFICANT
+from piezo_identification.diagnosis.comparison.criteria import CRITERIA, GUESS
+from piezo_identification.diagnosis.joint.probabilities import (
+    ALTERNATIVE,
+    BELIEVED,
+    LISTED,
+    SOMETHING_ELSE,
+)
+from piezo_identification.diagnosis.response.response_diagnosis import NEAR_NOISE
 from piezo_identification.fitting.clustered_covariance import clustered_covariance
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_models.axes_model_file import save_axes_model
 from piezo_recorder.reading.axes import AxesRecording
-
-ACCEPTED = 3.0
-"""RMS of a residual, in tolerances, that passes as noise: the accuracy that identification aims
-at."""
-
-GUESSED = 0.5
-"""Fraction of the power of an unexplained residual below which effects would be guesses."""
-
-DEVIATIONS = 3.0
-"""Standard deviations by which a named effect differs from zero."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,9 +144,9 @@ def diagnose_axes(identified: IdentifiedAxes,
         for fewer in _without_one(found))}
     evidences = {found: evidence(fit.squares, len(fit.values)) for found, fit in valid.items()}
     best = max(evidences, key=lambda found: evidences[found])
-    accepted = np.minimum(ACCEPTED**2, valid[best].squares)
+    accepted = np.minimum(NEAR_NOISE**2, valid[best].squares)
     shares = _shares({_joined(found): value for found, value in evidences.items()}
-                     | {"something_else": evidence(
+                     | {SOMETHING_ELSE: evidence(
                          accepted, len(valid[best].values) + 2)})
     return _diagnosis(identified, data, errors, best, valid, shares)
 
@@ -211,7 +208,7 @@ def _shares(evidence: dict[str, float]) -> dict[str, float]:
 def _stands(model: CoupledModel, effect: AxisEffect, values: FloatArray,
             off: FloatArray) -> bool:
     """Return whether an effect clearly differs from zero and from errors of the model."""
-    away = DEVIATIONS * off
+    away = SIGNIFICANT * off
     differs = np.abs(values[effect.linear]) >= away[effect.linear]
     return bool(differs.any()) and not effect.overlaps(model, values, away)
 
@@ -226,9 +223,9 @@ def _diagnosis(identified: IdentifiedAxes, data: AxesRecording | AxesResponse,
                valid: dict[tuple[AxisEffect, ...], _Fit],
                shares: dict[str, float]) -> AxesDiagnosis:
     """Return the diagnosis that names the best set, unless it would be a guess."""
-    unexplained = shares["something_else"] >= 0.5
+    unexplained = shares[SOMETHING_ELSE] >= BELIEVED
     helps = ", ".join(effect.label for effect in best)
-    if unexplained and valid[best].mean_square > GUESSED * valid[()].mean_square:
+    if unexplained and valid[best].mean_square > GUESS * valid[()].mean_square:
         best = ()
     fit = valid[best]
     extended = _extended(identified, errors.extended(best, fit.values), data, best, fit)

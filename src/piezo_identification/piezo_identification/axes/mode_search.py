@@ -17,9 +17,9 @@ HIGHEST = 0.8
 """Highest frequency of a mode as a fraction of the Nyquist frequency, near which a held voltage has
 no power."""
 
-SPACING, GUESSED_DAMPING = 0.03, 0.03
-"""Relative distance of the frequencies that are tried, which is as wide as a mode of this damping
-ratio. The best one is refined."""
+GUESSED_DAMPING = 0.03
+"""Damping ratio of the modes that are tried, and the relative distance of their frequencies, which
+is as wide as such a mode. The best one is refined."""
 
 BAND = 2.0
 """Ratio of the mode's frequency and the lines on either side that are compared: beyond, it moves as
@@ -76,12 +76,12 @@ def guessed(mode: ModeOfAxis, sample_period_s: float, lines: ErrorLines,
         return fitted, float(np.sum(fitted**2 * power))
 
     lowest, highest = lines.lowest, min(lines.rates[-1], HIGHEST * np.pi / sample_period_s)
-    tried = np.exp(np.arange(np.log(lowest), np.log(highest), SPACING))
+    tried = np.exp(np.arange(np.log(lowest), np.log(highest), GUESSED_DAMPING))
     best = max(tried, key=lambda each: gains(each, GUESSED_DAMPING)[1])
     start = np.log([best, GUESSED_DAMPING])
     frequency, damping = np.exp(minimize(
         lambda logarithms: -gains(*np.exp(logarithms))[1], start, method="Nelder-Mead",
         bounds=[np.log([lowest, highest]), np.log(DAMPING_RATIOS)],
-        options={"initial_simplex": start + [[0.0, 0.0], [SPACING, 0.0], [0.0, -1.0]]}).x)
+        options={"initial_simplex": start + [[0.0, 0.0], [GUESSED_DAMPING, 0.0], [0.0, -1.0]]}).x)
     return replace(mode, guess=(float(frequency), float(damping),
                                 *gains(frequency, damping)[0].tolist()))

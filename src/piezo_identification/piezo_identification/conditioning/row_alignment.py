@@ -39,7 +39,8 @@ JUMP = 0.1
 """Smallest jump of the voltage between samples, as a fraction of the range."""
 
 SIGNIFICANT = 3.0
-"""Standard deviations above which a remaining delay is significant."""
+"""Standard deviations by which an estimate, such as a delay, differs from zero if it is
+significant, and an explanation from another one if the data distinguish them."""
 
 MOST_UNCERTAIN = 0.5
 """Largest standard deviation, in sample periods, of an identifiable delay. Beyond it, rows read at

@@ -16,6 +16,7 @@ from piezo_common.budget import SEARCH, Budget, spending, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.progress_part import Progress, part_of
 from piezo_identification.diagnosis.comparison.criteria import (
+    GUESS,
     Reason,
     Undecided,
     is_noise,
@@ -74,10 +75,6 @@ from piezo_recorder.reading.recording import Recording
 if TYPE_CHECKING:
     from piezo_identification.diagnosis.evidence.ceiling import Ceiling
 
-
-GUESS = 0.5
-"""Largest part of the power of the lack of fit that may remain before the effects found are
-regarded as guesses."""
 
 ALONE_UNTIL = 0.5
 """Share of the time limit for the new recordings alone, if there are others."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN
+from piezo_identification.conditioning.row_alignment import MOST_UNCERTAIN, SIGNIFICANT
 from piezo_models.cascade import StageModel
 from piezo_models.effects.effect import Effect
 from piezo_models.linear.dynamics import CreepDynamics
@@ -28,10 +28,6 @@ SHOWN = 12
 RANK_TOLERANCE = 1e-12
 """Singular value, relative to the largest, below which a direction of scaled columns is
 rounding."""
-
-SIGNIFICANT = 3.0
-"""Number of standard deviations by which a delay must differ from zero, and a mode from an
-antiresonance that would cancel it."""
 
 LEAST_DELAY = 0.01
 """Delays below this, in sample periods, are neglected: clocks jitter by as much."""

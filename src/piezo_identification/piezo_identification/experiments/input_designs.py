@@ -163,7 +163,8 @@ def _steps(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
 
 def _tones(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
     samples = round(TONES_S * rate_hz)
-    lines = np.arange(TONES_HZ[0], min(TONES_HZ[1], 0.1 * rate_hz), TONES_PER_S) * TONES_S
+    highest_hz = min(TONES_HZ[1], HIGHEST_OF_CLOCK * rate_hz)
+    lines = np.arange(TONES_HZ[0], highest_hz, TONES_PER_S) * TONES_S
     harmonics = np.zeros(samples // 2 + 1, dtype=complex)
     phases = np.random.default_rng(PHASES).uniform(0.0, 2.0 * np.pi, lines.size)
     harmonics[np.round(lines).astype(int)] = np.exp(1j * phases)

@@ -12,6 +12,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.row_alignment import (
+    SIGNIFICANT,
     is_point_by_point,
     read_as,
     reading_at_jumps,
@@ -23,7 +24,7 @@ from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.creep.square_wave_creep import estimate_creep
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_estimate import estimate_dynamics
-from piezo_identification.estimators.estimate import DECISIVE, SIGNIFICANT, Estimate
+from piezo_identification.estimators.estimate import DECISIVE, Estimate
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_fit import (
     ANY_ORDER,

@@ -7,14 +7,12 @@ from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.suitability import Suitability
 from piezo_recorder.reading.recording_view import error_um
 
-WIDTH = 22
-
 
 def check_table(check: RecordingCheck, fit_for: dict[str, Suitability]) -> list[str]:
     """Return the lines of the table: measured properties, then suitability."""
-    lines = [f"{name:{WIDTH}}{value}" for name, value in measured_rows(check)]
+    lines = [f"{name:22}{value}" for name, value in measured_rows(check)]
     lines.append("")
-    lines += [f"{'can stand for ' + name:{WIDTH + 4}}{each.verdict:8}{each.reason}"
+    lines += [f"{'can stand for ' + name:26}{each.verdict:8}{each.reason}"
               for name, each in fit_for.items()]
     return lines
 

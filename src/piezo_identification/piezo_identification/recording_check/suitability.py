@@ -18,9 +18,8 @@ from piezo_identification.recording_check.check import (
 )
 from piezo_identification.recording_check.waveform_kind import Kind
 
-ROWS_FOR_HOLDS, HELD = 5000, 0.01
-"""Rows to which a recording is decimated to find holds, and largest change in a hold as a fraction
-of the swing."""
+ROWS_FOR_HOLDS = 5000
+"""Rows to which a recording is decimated to find holds."""
 
 EXPERIMENTS = ("hysteresis", "creep", "dynamics", "validation")
 
@@ -31,13 +30,9 @@ class Needs:
 
     hold_s: float = 2.0
     """Shortest hold of a level that shows creep; the fast creep of stages takes seconds."""
-    rows_per_hold: int = 20
-    """Fewest rows in a hold from which creep can be estimated."""
-    held_share: float = 0.3
-    """Smallest fraction of a recording at held levels for which ramps between them are accepted; a
-    slow sine stays at its ends for less."""
     rows_per_branch: int = 20
-    """Fewest rows between reversals for which fast cycles show loops, if the dynamics are known."""
+    """Fewest rows in a hold from which creep can be estimated, and between reversals for which fast
+    cycles show loops, if the dynamics are known."""
     rows_per_ringing: float = 5.0
     """Fewest rows in a period of ringing; with fewer, it may be an alias of a faster one."""
     followed: float = 0.9
@@ -206,7 +201,7 @@ def _creep(check: RecordingCheck) -> Suitability:
         return Suitability("no", f"levels are held for {hold_s:.3g} s only: hold them "
                            f"for {NEEDS.hold_s:g} s at least, better for minutes")
     rows = hold_s / check.sample_period_s
-    if rows < NEEDS.rows_per_hold:
+    if rows < NEEDS.rows_per_branch:
         return Suitability("no", f"a hold has {rows:.0f} rows only: record faster")
     if not check.starts_settled:
         return Suitability("partly", "it does not begin at rest: its first level shows the creep "
@@ -223,7 +218,7 @@ def _hold_s(check: RecordingCheck) -> float:
     if not NEEDS.hold_s <= waveform.branch_s < np.inf:
         return 0.0
     step = 1 + check.voltage_v.size // ROWS_FOR_HOLDS
-    voltage_v, width_v = check.voltage_v[::step], HELD * check.swing_v
+    voltage_v, width_v = check.voltage_v[::step], waveforms.SETTINGS.level_tolerance * check.swing_v
     holds, begin = [], 0
     while begin < voltage_v.size:
         away = np.abs(voltage_v[begin:] - voltage_v[begin]) > width_v
@@ -231,9 +226,11 @@ def _hold_s(check: RecordingCheck) -> float:
         holds.append(rows * step * check.sample_period_s)
         begin += max(rows, 1)
     # With slow rows, a few equal ones are not a hold.
-    least_s = max(NEEDS.hold_s, NEEDS.rows_per_hold * check.sample_period_s)
+    least_s = max(NEEDS.hold_s, NEEDS.rows_per_branch * check.sample_period_s)
     long_s = [hold_s for hold_s in holds if hold_s >= least_s]
-    return float(np.median(long_s)) if sum(long_s) > NEEDS.held_share * check.duration_s else 0.0
+    # A slow sine stays at its ends for less.
+    least_held_s = waveforms.SETTINGS.held_rows * check.duration_s
+    return float(np.median(long_s)) if sum(long_s) > least_held_s else 0.0
 
 
 def _dynamics(check: RecordingCheck) -> Suitability:

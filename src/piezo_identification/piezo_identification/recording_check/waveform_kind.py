@@ -74,18 +74,18 @@ class KindSettings:
     most_cycles: int = 50
     """Most reversals for which such motion may be irregular cycles instead."""
     steady_order: float = 0.9
+    """Smallest rank correlation of amplitudes, or of times between reversals, with their order for
+    an amplitude that grows or shrinks, or for a chirp."""
     grown: float = 1.3
-    """Smallest rank correlation of the amplitudes with their order, and smallest ratio of the first
-    and last amplitude, for an amplitude that grows or shrinks."""
+    """Smallest ratio of the first and last amplitude for one that grows or shrinks."""
     jump: float = 0.05
     jump_over_usual: float = 5.0
     jump_over_others: float = 2.0
     """Smallest change between two samples that is a jump: as a fraction of the swing, as a multiple
     of the 99 % quantile, and as a multiple of the largest other change."""
-    chirp_order: float = 0.9
     chirp_ratio: float = 3.0
-    """Smallest rank correlation of the times between reversals with their order, and smallest ratio
-    of the first and last of these times, and of the slopes between them, for a chirp."""
+    """Smallest ratio of the first and last time between reversals, and of the slopes between them,
+    for a chirp."""
     repeated: float = 0.97
     """Smallest autocorrelation of a periodic voltage."""
     sparse: float = 0.3
@@ -231,7 +231,7 @@ def _kind_of_moving(voltage_v: FloatArray, period_s: float, branches_s: FloatArr
     mean_slopes = heights / branches_s
     if branches_s.size >= 6 and np.ptp(branches_s) > 0.0:
         order = abs(float(spearmanr(np.arange(branches_s.size), branches_s).statistic))
-        if order > SETTINGS.chirp_order and min(
+        if order > SETTINGS.steady_order and min(
                 map(_first_over_last, (branches_s, mean_slopes))) > SETTINGS.chirp_ratio:
             first, last = branches_s[0], branches_s[-1]
             # Short times between reversals are coarse multiples of a row, so more are averaged.

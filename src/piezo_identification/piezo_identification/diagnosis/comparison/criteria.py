@@ -11,6 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from piezo_identification.conditioning.row_alignment import SIGNIFICANT
 from piezo_identification.fitting.regression import Fit, Regression
 
 
@@ -88,8 +89,6 @@ class Criteria:
     more accurately."""
     visible: float = 0.1
     """Smallest part of a contribution that other parameters of the model cannot imitate."""
-    distinguished: float = 3.0
-    """Standard deviations by which a set must be better to be distinguished from another."""
     penalty: float = 10.0
     """Squared tolerances by which a fitted parameter must reduce the sum on held-out data."""
     clearly_fewer: int = 2
@@ -101,6 +100,10 @@ class Criteria:
 
 
 CRITERIA = Criteria()
+
+GUESS = 0.5
+"""Largest part of the power of the lack of fit that may remain before the effects found are
+regarded as guesses."""
 
 
 def is_noise(regression: Regression, fit: Fit) -> bool:
@@ -125,7 +128,7 @@ def is_convincing(regression: Regression, start: Fit, before: Fit, after: Fit) -
 
 
 def is_indistinguishable(regression: Regression, best: Fit, other: Fit,
-                         distinguished: float = CRITERIA.distinguished) -> bool:
+                         distinguished: float = SIGNIFICANT) -> bool:
     """Return whether the data cannot distinguish a set of effects from the best one.
 
     The residual of the best set beyond the noise shows the accuracy of its prediction: sets that

@@ -31,7 +31,6 @@ from piezo_models.hysteresis.preisach import PreisachModel
 
 DRAWS = 32
 """Number of drawn errors of the model: their spread is then known to about an eighth."""
-SEED = 0
 SMALL = 0.01
 """Relative change of the density, to which the response is linear; the value is arbitrary."""
 BLOCK = 10
@@ -108,7 +107,7 @@ def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:
 
 def _erring(hysteresis: PreisachModel) -> Iterator[PreisachModel]:
     """Yield the hysteresis with random factors of the density, one for all cells of a span."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(0)
     density = hysteresis.density_um_per_v2
     rising, falling = np.indices(density.shape)
     for _ in range(DRAWS):

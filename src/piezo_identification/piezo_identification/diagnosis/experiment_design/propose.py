@@ -30,7 +30,10 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.diagnosis.joint.probabilities import ALTERNATIVE, BELIEVED, SOMETHING_ELSE
 from piezo_identification.experiments.catalogue import Experiment
-from piezo_identification.experiments.input_designs import random_phase_multisine
+from piezo_identification.experiments.input_designs import (
+    HIGHEST_OF_CLOCK,
+    random_phase_multisine,
+)
 from piezo_identification.experiments.stage_limits import USUAL_LIMITS, StageLimits
 from piezo_identification.fitting.dataset import Dataset, simulate_recordings
 from piezo_identification.fitting.regression import first_regression, reweighted
@@ -44,12 +47,7 @@ ROUNDED = 41
 FAST_S = 2.0
 FEWEST_SAMPLES = 1000
 """Rows of a fast waveform with a slow clock: twice what a comparison needs, as half may settle."""
-FASTEST_OF_CLOCK = 0.1
-"""Highest frequency relative to the sample rate: above it, a held voltage is too coarse."""
 MOST_OF_RANGE = 0.95
-SEED = 0
-"""Seed for random levels and phases."""
-
 LONGEST_S = 30.0
 
 FACTORS = (1.6, 1.25)
@@ -92,7 +90,7 @@ def _triangles(time_s: FloatArray, rate_hz: float) -> FloatArray:
 
 def _steps(time_s: FloatArray, rate_hz: float) -> FloatArray:
     """Random levels, each held for a random time."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(0)
     count = max(2, round(rate_hz * time_s[-1]))
     holds = random.uniform(0.3, 1.7, count)
     edges_s = np.cumsum(holds)[:-1] * time_s[-1] / holds.sum()
@@ -119,7 +117,7 @@ def _multisine(time_s: FloatArray, highest_hz: float) -> FloatArray:
     samples = time_s.size // 2
     period_s = samples * float(time_s[1] - time_s[0])
     lines = np.arange(1, max(2, round(highest_hz * period_s)) + 1)
-    wave = random_phase_multisine(lines, samples, np.random.default_rng(SEED))
+    wave = random_phase_multisine(lines, samples, np.random.default_rng(0))
     return np.asarray(np.resize(wave, time_s.size))
 
 
@@ -178,7 +176,7 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
     fast_s = max(FAST_S, FEWEST_SAMPLES * clock_s)
     duration_s = min(longest_s, fast_s) if family.fast else longest_s
     time_s = period_s * np.arange(round(duration_s / period_s), dtype=np.float64)
-    rate_hz = min(point.rate_hz, FASTEST_OF_CLOCK / period_s)
+    rate_hz = min(point.rate_hz, HIGHEST_OF_CLOCK / period_s)
     wave = family.shape(time_s, rate_hz)
     if not family.fast:
         wave = _rounded(wave)

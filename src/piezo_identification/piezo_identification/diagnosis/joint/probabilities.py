@@ -55,8 +55,6 @@ BELIEVED = 0.5
 DRAWS = 4000
 """Number of draws of the bootstrap, which determine a probability near 0.95 to 0.003."""
 
-SEED = 0
-
 LISTED, ALTERNATIVE = 1e-3, 0.01
 """Smallest probability of a set of effects that is listed, and that is an alternative to others."""
 
@@ -189,7 +187,7 @@ def logarithms_of_evidence(alternatives: Sequence[Evidence],
 
 def listed_probabilities(alternatives: Sequence[Evidence], expected: ExpectedErrors) -> FloatArray:
     """Return the probability of each alternative, assuming there are no others, (n,)."""
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(0)
     squares_um2 = np.empty((DRAWS, len(alternatives), expected.noise_um.size))
     for number in range(expected.noise_um.size):
         of_recording = [each.held_out[number] for each in alternatives]

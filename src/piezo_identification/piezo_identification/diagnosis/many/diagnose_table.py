@@ -7,7 +7,7 @@ import sys
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,6 @@ HEADS = ("name", "verdict", "effects", "most probable", "probability", "before (
 FLEET_HEADS = ("stage", "recordings", "from", "to", "last verdict", "effects", "since",
                "error, first (nm)", "error, last (nm)")
 
-DAY_S = 86_400.0
-NM_PER_UM = 1e3
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class StageHistory:
 
     def errors_nm(self) -> list[float]:
         """Return the RMS error of the model in each recording."""
-        return [NM_PER_UM * verdict["before"]["rms_um"] for verdict in self.verdicts]
+        return [1e3 * verdict["before"]["rms_um"] for verdict in self.verdicts]
 
     def row(self) -> list[str]:
         """Return the cells of the stage, in the order of `FLEET_HEADS`."""
@@ -102,7 +100,7 @@ def fleet_figure(found: Sequence[StageHistory]) -> Figure:
     first = min(each.recorded[0] for each in found)
     for number, each in enumerate(found):
         style = CURVES[number % len(CURVES)]
-        days = np.array([(time - first).total_seconds() for time in each.recorded]) / DAY_S
+        days = np.array([(time - first) / timedelta(days=1) for time in each.recorded])
         errors_nm = np.array(each.errors_nm())
         axes.semilogy(days, errors_nm, label=each.stage, **style)
         is_poor = np.array([verdict["verdict"] != "none" for verdict in each.verdicts])

@@ -20,6 +20,7 @@ from piezo_identification.diagnosis.response.response_effect_fit import Response
 from piezo_identification.diagnosis.verdict import Verdict
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_hold import without_hold
+from piezo_identification.estimators.frequency_response.response_search import STEPS
 from piezo_identification.fitting.dataset import SPLIT
 from piezo_identification.fitting.structure_search import SETTINGS as SEARCH
 from piezo_identification.fitting.structure_search import apart, is_better
@@ -37,8 +38,8 @@ SLOWEST = 10
 FEWEST_FREQUENCIES = SPLIT.stretches // 2
 """Fewest frequencies of a response, of which a third is held out."""
 
-FIRST_STEPS, STEPS = 2, 40
-"""Largest numbers of steps of a fit from each guess, and from the best of them."""
+FIRST_STEPS = 2
+"""Largest number of steps of a fit from each guess; the best of them gets more."""
 
 MOST_EFFECTS = 4
 """Number of kinds of linear effects."""

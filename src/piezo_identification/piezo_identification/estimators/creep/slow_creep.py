@@ -50,6 +50,8 @@ from piezo_identification.estimators.creep.square_wave_creep import (
     left_out_s,
 )
 from piezo_identification.estimators.estimate import (
+    DECISIVE,
+    MOST_ALIKE,
     ROWS_OF_DECAY,
     Estimate,
     OrderTrial,
@@ -100,10 +102,9 @@ STARTS = 2
 """Number of further rates tried as starts until the result can be creep."""
 
 NUISANCES = (("drift",), ("first rise",), ("drift", "first rise"))
-"""Signals that may be fitted in addition: sensor drift, and the remanence of a first rise."""
+"""Signals that may be fitted in addition, with very strong evidence: sensor drift, and the
+remanence of a first rise."""
 
-NUISANCE_GAIN = 10.0
-"""Decrease of the information criterion required to include them."""
 
 
 def estimate_slow_creep(
@@ -155,7 +156,7 @@ def estimate_slow_creep(
 
     tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
     gains = [gain(each) for each in tried]
-    if max(gains) > NUISANCE_GAIN:
+    if max(gains) > DECISIVE:
         problem = tried[int(np.argmax(gains))]
         found = _search(problem, pair_count)
     if pair_count is not None and found.trials[-1].refusal:
@@ -292,7 +293,7 @@ class _Problem:
     def alike(self, residual: FloatArray) -> float:
         """Return the correlation of neighbouring rows of a residual, from 0 to 1."""
         data = residual - self._span @ ((1.0 - self._remaining) * (self._span.T @ residual))
-        return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, 0.98))
+        return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, MOST_ALIKE))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:
         """Return the factor that compensates for noise reduced by the inverse of the creep.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.row_alignment import SIGNIFICANT
 from piezo_identification.conditioning.settling import RINGING, SLOWER_THAN_MODES
 from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
@@ -24,8 +25,8 @@ from piezo_identification.estimators.dynamics.pole_search import (
     nested_fits,
 )
 from piezo_identification.estimators.estimate import (
+    DECISIVE,
     ROWS_OF_DECAY,
-    SIGNIFICANT,
     Estimate,
     creep_of_partial_fractions,
 )
@@ -40,10 +41,6 @@ FASTER_THAN_KNOWN = 3.0
 
 MOST_TURNS = 4
 """Largest number of times that creep is sought again with the dynamics corrected for creep."""
-
-AS_GOOD = 5.0
-"""Log-evidence by which free poles may be better, because stages have creep but no overdamped
-modes."""
 
 
 LEAST_DAMPING = 5e-4
@@ -110,8 +107,9 @@ def fast_creep(
     rates = sought_rates(record, free, creep)
     if not (np.abs(free.poles) < rates.max(initial=0.0)).any():
         return None
-    # The creep replaces slow poles, which no stage has, so it may cost some evidence.
-    best, most = None, record.log_evidence(free, free.numbers) - AS_GOOD
+    # Stages have creep but no overdamped modes, so that the creep which replaces them may cost
+    # evidence, which is half of the criterion.
+    best, most = None, record.log_evidence(free, free.numbers) - 0.5 * DECISIVE
     for _ in range(MOST_TURNS):
         is_slow = np.abs(free.poles) < rates.max()
         free = replace(free, poles=free.poles[~is_slow], residues=free.residues[~is_slow])

@@ -44,7 +44,10 @@ from piezo_identification.estimators.dynamics.fast_signals import (
     played_at_the_clock,
     through_hysteresis,
 )
-from piezo_identification.estimators.dynamics.generator_signals import with_edges_between
+from piezo_identification.estimators.dynamics.generator_signals import (
+    MODES_TO_DECIDE,
+    with_edges_between,
+)
 from piezo_identification.estimators.dynamics.output_error import fit_output_error
 from piezo_identification.estimators.estimate import Estimate
 from piezo_identification.estimators.hysteresis.fast_loops import FastLoops
@@ -57,9 +60,6 @@ from piezo_recorder.reading.recording import Recording
 WARM_UP_S = 0.3
 """Smallest part at the start of a square wave that is not used, because the approach from rest
 still affects it."""
-
-MODES_OF_A_LINE = 2
-"""Number of vibration modes with which a line is compared with a hysteresis."""
 
 AT_END = 20
 """Number of samples at the end of a visit of a level that show where it ended."""
@@ -153,7 +153,7 @@ def estimate_dynamics(
             creep, mode_count, delay, among)
     without_hysteresis = _record(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
-    linear = fit_output_error(without_hysteresis, MODES_OF_A_LINE, delay)
+    linear = fit_output_error(without_hysteresis, MODES_TO_DECIDE, delay)
     estimate = _with_hysteresis(parts, creep, mode_count, delay, among)
     if estimate.residual_rms < linear.residual_rms:
         return estimate

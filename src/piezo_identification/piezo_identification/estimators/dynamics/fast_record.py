@@ -28,6 +28,7 @@ from piezo_identification.estimators.poles.spectral_input import (
 )
 from piezo_identification.fitting.evidence import INDEPENDENT, independent_errors, log_evidence
 from piezo_identification.fitting.regression import SETTINGS as FIT
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.vibration_mode import VibrationMode
 
 LEAST_INDEPENDENT = 0.5
@@ -49,16 +50,9 @@ bounds, and coinciding poles have no partial fractions."""
 LEAST_DAMPING, MOST_DAMPING = 1e-5, 20.0
 """Range of damping ratios."""
 
-PARALLEL_DAMPING, PARTICIPATION = (1e-3, 0.4), (-2.0, 3.0)
-"""Bounds of the damping ratio and participation of parallel modes, as in
-`piezo_models.effects.vibration_mode.VibrationMode`."""
-
 MOST_GAIN = 3.0
 """Largest factor between the gain at rest and that of the loops. Slow errors of the loops in a fast
 record look like slow relaxations, beside which the modes move nearly nothing."""
-
-COUPLED_SHARE = (-1e3, 1e3)
-"""Bounds of the participations of coupled modes, as in `CoupledMode`: they may nearly cancel."""
 
 ANTIRESONANCE_SPAN = 3.0
 """Factor beyond the frequencies of the modes within which a zero is treated as an antiresonance."""
@@ -78,6 +72,12 @@ spectrum."""
 COLLINEAR = 1e-9
 """Singular value, relative to the largest, below which linearly fitted columns are merged: far
 above rounding, far below what any record determines in the presence of noise."""
+
+
+def bounds_of(kind: type[VibrationMode], parameter: str) -> tuple[float, float]:
+    """Return the bounds of a parameter of parallel modes, in its unit."""
+    declared = kind.__dataclass_fields__[parameter].metadata
+    return declared["low"], declared["high"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -429,8 +429,9 @@ class FastRecord:
 
         limits = [lag, *rates(order.modes), *[damping] * order.modes]
         limits += [*rates(order.antiresonances), *[damping] * order.antiresonances]
-        of_modes, shares = ((damping, COUPLED_SHARE) if order.is_coupled
-                            else (np.log(PARALLEL_DAMPING), PARTICIPATION))
+        kind = CoupledMode if order.is_coupled else VibrationMode
+        shares = bounds_of(kind, "participation")
+        of_modes = damping if order.is_coupled else np.log(bounds_of(kind, "damping_ratio"))
         limits += [*rates(order.parallel), *[of_modes] * order.parallel]
         limits += [*[lag] * order.sensor_lags, *[np.array(shares)] * order.shares]
         limits += [np.array([EARLIEST, min(LATEST, 0.25 * self.input.samples.size)])]

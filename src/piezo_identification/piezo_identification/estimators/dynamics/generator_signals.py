@@ -14,7 +14,8 @@ from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
 MODES_TO_DECIDE = 2
-"""Number of modes used to detect a free-running generator: edges off by half a sample show."""
+"""Number of modes with which a free-running generator is detected, as edges off by half a sample
+show, and a line is compared with a hysteresis."""
 
 ROUNDS = 2
 """Number of fits of the edges, each after one of the poles: they hardly affect each other."""

@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.conditioning.row_alignment import SIGNIFICANT
 from piezo_identification.estimators.dynamics.fast_dynamics import (
     ModeOrder,
     ascending_places,
@@ -20,23 +21,19 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
 )
 from piezo_identification.estimators.dynamics.fast_record import (
     EARLIEST,
-    PARALLEL_DAMPING,
     FastFit,
     FastRecord,
     FreeFit,
+    bounds_of,
 )
 from piezo_identification.estimators.dynamics.fit_deviations import (
     delay_deviation,
     fit_covariance,
 )
 from piezo_identification.estimators.dynamics.pole_search import MOST_MODES, free_fits
-from piezo_identification.estimators.estimate import (
-    SIGNIFICANT,
-    DelayEstimate,
-    Estimate,
-    OrderTrial,
-)
+from piezo_identification.estimators.estimate import DelayEstimate, Estimate, OrderTrial
 from piezo_identification.fitting.evidence import INDEPENDENT
+from piezo_models.effects.vibration_mode import VibrationMode
 
 ROWS_OF_SEARCH, ROWS_OF_TRIALS, ROWS_OF_FIT = 3000, 10_000, 20_000
 """Number of rows of a longer record used to find starts, to compare orders, and to fit the chosen
@@ -377,7 +374,8 @@ def _may_be_parallel(vector: FloatArray, modes: int) -> bool:
     """Return whether the damping of all parallel modes is below its bound."""
     parallel = (vector.size - 1 - 2 * modes) // 3
     first = 1 + 2 * modes + parallel
-    return bool(np.all(vector[first : first + parallel] < np.log(PARALLEL_DAMPING[1])))
+    most = np.log(bounds_of(VibrationMode, "damping_ratio")[1])
+    return bool(np.all(vector[first : first + parallel] < most))
 
 
 def _chosen(vector: FloatArray, modes: tuple[int, ...]) -> FloatArray:

@@ -12,6 +12,7 @@ from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit
 from piezo_identification.estimators.poles.spectral_input import SpectralInput
 from piezo_identification.estimators.poles.vector_fitting import (
+    LINES,
     Lines,
     residual_of_poles,
     vector_fit,
@@ -30,14 +31,8 @@ NEAR_DELAYS = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 FOLLOWED = 3
 """Number of pole pairs, those that matter least, whose removal is tried with other delays."""
 
-LINES = 600
-"""Number of lines of the spectrum used to find poles."""
-
 LAST_EVALUATIONS = 4
 """Number of steps in the rows of the record for poles that were found at those lines."""
-
-RELOCATIONS = 8
-"""Number of regressions of a vector fit, after which its poles hardly change."""
 
 LINES_A_POLE = 2
 """Smallest number of lines per pole in the first fit."""
@@ -133,7 +128,7 @@ def generous_poles(record: FastRecord) -> tuple[ComplexArray, float]:
         check_cancelled()
         late = held.lines[shown] * np.exp(-1j * delay * held.phases[shown])
         lines = Lines(rate, output, np.column_stack([late, begun]), further)
-        poles = vector_fit(lines, 2 * modes, RELOCATIONS)
+        poles = vector_fit(lines, 2 * modes)
         rated.append((float(np.linalg.norm(residual_of_poles(lines, poles))), delay, poles))
     _, delay, poles = min(rated, key=lambda each: each[0])
     discrete: ComplexArray = (1.0 + poles) / (1.0 - poles)

@@ -19,6 +19,7 @@ from piezo_identification.estimators.frequency_response.rational_form import (
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.estimators.frequency_response.response_model import ResponseOrder
 from piezo_identification.estimators.poles.vector_fitting import (
+    LINES,
     Lines,
     residual_of_poles,
     vector_fit,
@@ -28,9 +29,6 @@ from piezo_identification.fitting.measured_response import MeasuredResponse
 
 SPARE_POLES = 40
 """Number of poles of the fit that determines noise and delay: more than a stage has."""
-
-FREQUENCIES_OF_SEARCH = 600
-"""Number of frequencies used to find starts in a longer response; fits use all."""
 
 DELAYS_A_TURN, MOST_DELAYS = 4, 48
 """Number of delays tried per turn of phase at the highest strong frequency, and in total."""
@@ -112,7 +110,7 @@ class ResponseSearch:
     def __init__(self, measured: FrequencyResponse, has_loss: bool = False) -> None:
         self._has_loss = has_loss
         self.rate, self.gain = 2.0 * np.pi * measured.frequency_hz, measured.gain
-        step = -(-self.rate.size // FREQUENCIES_OF_SEARCH)
+        step = -(-self.rate.size // LINES)
         self._coarse = slice((self.rate.size - 1) % step, None, step)
         self.weight = np.ones(self.rate.size)
         self._delays_s, poles = self._delays_and_poles()
@@ -142,7 +140,7 @@ class ResponseSearch:
         for delay_s in np.linspace(0.0, longest_s, count + 1):
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s))
-            poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5), 8)
+            poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5))
             tried.append((np.linalg.norm(residual_of_poles(turned, poles)), delay_s, poles))
         tried.sort(key=lambda entry: entry[0])
         near = [delay_s for norm, delay_s, _ in tried if norm < NEARLY_AS_LITTLE * tried[0][0]]
@@ -309,7 +307,7 @@ class ResponseSearch:
         for delay_s in (*self._delays_s, *more_delays_s):
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s), weight=weight)
-            found = vector_fit(turned, 2 * modes + creep_pairs + 1, 8)
+            found = vector_fit(turned, 2 * modes + creep_pairs + 1)
             residual = np.linalg.norm(weight * residual_of_poles(turned, found))
             tried.append((residual, delay_s, found))
         _, delay_s, poles = min(tried, key=lambda entry: entry[0])

@@ -11,6 +11,12 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 
+LINES = 600
+"""Number of lines or frequencies from which poles are sought if there are more; fits use all."""
+
+RELOCATIONS = 8
+"""Number of regressions of a vector fit, after which its poles hardly change."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lines:
@@ -36,7 +42,7 @@ class Lines:
         return np.hstack([*(each[:, None] * whole for each in inputs.T), *further])
 
 
-def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexArray:
+def vector_fit(lines: Lines, pole_count: int) -> ComplexArray:
     """Poles of proper rational functions that approximate an output.
 
     Returns
@@ -63,7 +69,7 @@ def vector_fit(lines: Lines, pole_count: int, iterations: int = 20) -> ComplexAr
     poles = np.concatenate([(-0.02 + 1j) * pairs, (-0.02 - 1j) * pairs])
     if pole_count % 2:
         poles = np.append(poles, -0.1)
-    for _ in range(iterations):
+    for _ in range(RELOCATIONS):
         dynamics, drive, basis = _basis(s, poles)
         columns = np.hstack([lines.columns(basis), -lines.output[:, None] * basis])
         solution = _real_lstsq(lines.weight, columns, lines.output)
