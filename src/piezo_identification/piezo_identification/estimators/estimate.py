@@ -265,19 +265,6 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
     return result
 
 
-def parameter_deviations(jacobian: FloatArray) -> FloatArray:
-    """Return standard deviations, (P,), of parameters of a fit whose residual has variance 1.
-
-    Parameters
-    ----------
-    jacobian : ndarray, shape (N, P)
-        Jacobian of the residual at the optimum. The deviation of a parameter that is not
-        identifiable is infinite.
-    """
-    spread, unknown = scaled_inverse(jacobian)
-    return np.where(unknown, np.inf, np.linalg.norm(spread, axis=1))
-
-
 def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Square root of the inverse normal matrix of a Jacobian, without squaring its condition.
 
