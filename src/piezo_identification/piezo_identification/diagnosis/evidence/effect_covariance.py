@@ -16,7 +16,7 @@ averages over loops of one span, and its cells are too wide for a density that c
 diagonal everywhere.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,9 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
     """Return a fit whose covariance includes errors of the model."""
     if fit.covariance is None or not fit.covariance.size:
         return fit
-    slopes = derivatives(regression, fit)
+    slopes = np.column_stack([
+        regression.remainder(column)
+        for column in sensitivities(regression.difference, fit.effects).T])
     scales = np.linalg.norm(slopes, axis=0)
     scales[scales == 0.0] = 1.0
     scaled = slopes / scales
@@ -68,30 +70,26 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
         fit, covariance=fit.covariance + missing + size * (changes @ changes.T) / DRAWS)
 
 
-def derivatives(regression: Regression, fit: Fit) -> FloatArray:
-    """Return the derivatives of the difference by the fitted values, without the regressors.
-
-    They have the shape (n + p, m), with rows as in `Regression.remainder`.
-    """
+def sensitivities(signal_of: Callable[..., FloatArray],
+                  effects: tuple[Effect, ...]) -> FloatArray:
+    """Return the change of a signal of effects, (N,), with each of their fitted values, (N, m)."""
     columns = []
-    for number, effect in enumerate(fit.effects):
+    for number, effect in enumerate(effects):
         values, low, high = fitted_values(effect)
         for index, value in enumerate(values):
             step = STEP * max(abs(value), 1e-3)
             ends = np.clip([value - step, value + step], low[index], high[index])
-            below, above = (
-                regression.difference(_moved(fit, number, index, end)) for end in ends)
-            columns.append(regression.remainder((above - below) / np.ptp(ends)))
-    return np.column_stack(columns)
+            below, above = (signal_of(_moved(effects, number, index, end)) for end in ends)
+            columns.append((above - below) / np.ptp(ends))
+    return np.column_stack(columns) if columns else np.zeros((signal_of(effects).size, 0))
 
 
-def _moved(fit: Fit, number: int, index: int, value: float) -> list[Effect]:
-    """Return the effects of a fit with one parameter changed."""
-    effects = list(fit.effects)
+def _moved(effects: tuple[Effect, ...], number: int, index: int,
+           value: float) -> tuple[Effect, ...]:
+    """Return effects with one fitted value changed."""
     values, _, _ = fitted_values(effects[number])
     values[index] = value
-    effects[number] = with_fitted_values(effects[number], values)
-    return effects
+    return (*effects[:number], with_fitted_values(effects[number], values), *effects[number + 1 :])
 
 
 def drawn_errors_um(dataset: Dataset) -> Iterator[FloatArray]:

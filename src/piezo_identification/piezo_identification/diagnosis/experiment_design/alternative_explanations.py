@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Alternative explanations of recordings, with their parameters and uncertainties."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.criteria import Reason
+from piezo_identification.diagnosis.evidence.effect_covariance import sensitivities
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
@@ -28,7 +29,7 @@ from piezo_identification.fitting.joint_fit import JointFit, JointProblem
 from piezo_identification.fitting.model_weights import HeldOut
 from piezo_identification.fitting.recording_evidence import recording_evidence
 from piezo_identification.fitting.regression import Regression, with_fixed_parameters
-from piezo_models.effects import Effect, fitted_values, known_effects, with_fitted_values
+from piezo_models.effects import Effect, known_effects
 from piezo_models.effects.outliers import Outliers
 from piezo_recorder.reading.recording import Recording
 
@@ -37,8 +38,6 @@ TURNS = 7
 alternative would lose if its model has to change more."""
 IDLE = 1e-3
 """Smallest change due to an effect, relative to the tolerance of a row, that makes a difference."""
-STEP = 1e-4
-"""Relative change of a fitted parameter for its sensitivity."""
 
 Effects = tuple[Effect, ...]
 
@@ -262,23 +261,6 @@ def _probable(regression: Regression, found: Effects,
         if effects is not None:
             sets.append(effects)
     return sets
-
-
-def sensitivities(simulate: Callable[..., FloatArray],
-                  effects: tuple[Effect, ...]) -> FloatArray:
-    """Return the change of a simulation, (N,), with each fitted parameter of effects, (N, p)."""
-    middle, columns = simulate(effects), []
-    for number, effect in enumerate(effects):
-        values, low, high = fitted_values(effect)
-        for index in range(values.size):
-            step = STEP * max(1.0, abs(values[index]))
-            if values[index] + step > high[index]:
-                step = -step
-            moved = values.copy()
-            moved[index] = max(moved[index] + step, low[index])
-            changed = (*effects[:number], with_fitted_values(effect, moved), *effects[number + 1 :])
-            columns.append((simulate(changed) - middle) / step)
-    return np.column_stack(columns) if columns else np.zeros((middle.size, 0))
 
 
 def _information(fit: JointFit) -> FloatArray:

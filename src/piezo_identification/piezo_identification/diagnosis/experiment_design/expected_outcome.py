@@ -13,9 +13,9 @@ import numpy as np
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.diagnosis.evidence.effect_covariance import sensitivities
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
-    sensitivities,
 )
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_identification.experiments.stage_limits import StageLimits
