@@ -12,30 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
-from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.diagnosis.comparison.criteria import is_convincing, mean_square
+from piezo_identification.fitting.dataset import simulate_recordings
+from piezo_identification.fitting.regression import Fit, first_regression
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics_vector import dynamics_of_vector, dynamics_vector
 from piezo_recorder.reading.recording import Recording
 
+MOST_GROUPS = 2
+"""Most groups of parameters that may have changed at once."""
 
-@dataclass(frozen=True)
-class ChangeSettings:
-    """Settings of the search for changed parameters."""
-
-    stretches: int = 30
-    """Number of stretches of the recording; every third is held out."""
-    most_groups: int = 2
-    """Most groups of parameters that may have changed at once."""
-    significant: float = 5.0
-    """Smallest mean improvement on the held-out stretches for which a group is accepted, in
-    standard deviations."""
-    largest_logarithm: float = 0.5
-    """Largest change of the logarithm of a parameter."""
-
-
-SETTINGS = ChangeSettings()
+LARGEST_LOGARITHM = 0.5
+"""Largest change of the logarithm of a parameter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,26 +61,27 @@ def changed_parameters(model: StageModel, recording: Recording) -> ChangedParame
     groups = parameter_groups(model)
     chosen: tuple[str, ...] = ()
     numbers = np.empty(0)
-    best = problem.residual_um(chosen, numbers)
-    for _ in range(SETTINGS.most_groups):
-        fits = {(*chosen, name): problem.fit(
+    regression, start = problem.regression, problem.fit(chosen, numbers)
+    best = start
+    for _ in range(MOST_GROUPS):
+        found_numbers = {(*chosen, name): problem.best(
             (*chosen, name), np.append(numbers, np.zeros(len(groups[name]))))
             for name in groups if name not in chosen}
-        if not fits:
+        if not found_numbers:
             break
-        residual = {names: problem.residual_um(names, fit) for names, fit in fits.items()}
-        names = min(residual, key=lambda key: problem.held_out_rms_um(residual[key]))
-        if not problem.is_better(residual[names], best):
+        fits = {names: problem.fit(names, each) for names, each in found_numbers.items()}
+        names = min(fits, key=lambda key: mean_square(regression, fits[key]))
+        if not is_convincing(regression, start, best, fits[names]):
             break
-        chosen, numbers, best = names, fits[names], residual[names]
-    before_um = problem.held_out_rms_um(problem.residual_um((), np.empty(0)))
+        chosen, numbers, best = names, found_numbers[names], fits[names]
+    before_um = regression.residual_um(start)
     if not chosen:
         return ChangedParameters(model, {}, before_um, before_um)
     found = problem.model(chosen, numbers)
     before, after = (_values(one) for one in (model, found))
     return ChangedParameters(
         found, {name: (before[name], after[name]) for group in chosen for name in groups[group]},
-        before_um, problem.held_out_rms_um(best))
+        before_um, regression.residual_um(best))
 
 
 def parameter_groups(model: StageModel) -> dict[str, tuple[str, ...]]:
@@ -130,18 +121,13 @@ def _changed(model: StageModel, logarithms: dict[str, float]) -> StageModel:
 
 
 class _Problem:
-    """A recording, and the residual of a model with changed parameters."""
+    """A recording, and fits of a model with changed parameters to it."""
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
         self._model = model
-        self._part = part = simulated_recording(model, recording)
-        count = part.time_s.size
-        stretch = np.arange(count) * SETTINGS.stretches // count
-        used = (np.arange(count) >= part.begin) & ~part.outlier
-        self._held_out: BoolArray = used & (stretch % 3 == 2)
-        self._fitted: BoolArray = used & ~self._held_out
-        self._stretch = stretch
-        self._nuisance = part.nuisance_regressors(np.arange(count))
+        # The parameters that may have changed are not linear.
+        self.regression = first_regression(simulate_recordings(
+            model, [recording], sensitivities=lambda part, rows: np.empty((rows.size, 0))))
 
     def model(self, groups: Sequence[str], numbers: FloatArray) -> StageModel:
         """Return the model with the parameters of some groups changed by logarithms."""
@@ -149,30 +135,15 @@ class _Problem:
         names = [name for group in groups for name in known[group]]
         return _changed(self._model, dict(zip(names, numbers, strict=True)))
 
-    def residual_um(self, groups: Sequence[str], numbers: FloatArray) -> FloatArray:
-        """Return the residual (N,), with offset and initial creep projected out."""
-        part = self._part.with_model(self.model(groups, numbers))
-        residual_um = part.measured_um - part.simulate()
-        fitted = self._fitted
-        solved = np.linalg.lstsq(self._nuisance[fitted], residual_um[fitted], rcond=1e-9)[0]
-        return residual_um - self._nuisance @ solved
+    def fit(self, groups: Sequence[str], numbers: FloatArray) -> Fit:
+        """Return the residual of the changed model, with offset and initial creep fitted."""
+        dataset = self.regression.dataset
+        part = dataset.simulated[0].with_model(self.model(groups, numbers))
+        return replace(self.regression, dataset=replace(dataset, simulated=(part,))).as_given()
 
-    def fit(self, groups: Sequence[str], start: FloatArray) -> FloatArray:
-        """Return the logarithms that minimize the residual on the fitted stretches."""
-        most = SETTINGS.largest_logarithm
+    def best(self, groups: Sequence[str], start: FloatArray) -> FloatArray:
+        """Return the logarithms that minimise the residual on the fitted stretches."""
         return least_squares(
-            lambda numbers: self.residual_um(groups, numbers)[self._fitted], start,
-            bounds=(-most, most), x_scale=0.01, diff_step=1e-4, xtol=1e-6, ftol=1e-6).x
-
-    def held_out_rms_um(self, residual_um: FloatArray) -> float:
-        """Return the root mean square of a residual on the held-out stretches."""
-        return float(np.sqrt(np.mean(residual_um[self._held_out] ** 2)))
-
-    def is_better(self, residual_um: FloatArray, than_um: FloatArray) -> bool:
-        """Return whether a residual is significantly smaller than another on the stretches."""
-        gains = np.array([
-            np.mean(than_um[rows] ** 2 - residual_um[rows] ** 2)
-            for stretch in range(2, SETTINGS.stretches, 3)
-            if np.any(rows := self._held_out & (self._stretch == stretch))])
-        error = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)
-        return bool(gains.mean() > SETTINGS.significant * error)
+            lambda numbers: self.fit(groups, numbers).residual[self.regression.estimation], start,
+            bounds=(-LARGEST_LOGARITHM, LARGEST_LOGARITHM), x_scale=0.01, diff_step=1e-4,
+            xtol=1e-6, ftol=1e-6).x
