@@ -9,19 +9,10 @@ from piezo_models.linear.dynamics import CreepDynamics
 
 
 def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: float) -> FloatArray:
-    """Pass a uniformly sampled signal through the inverse of the creep, Fig. 4.7.
+    """Pass a uniformly sampled signal, (N,), through the inverse of the creep, Fig. 4.7.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    sample_period_s : float
-        Sample period, short compared with the creep; the signal is assumed linear between samples
-        (bilinear rule).
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Signal without creep, which begins in equilibrium with the first sample.
+    The sample period is short compared with the creep: the signal is assumed linear between samples
+    (bilinear rule). The result begins in equilibrium with the first sample.
     """
     for pole, zero in zip(creep.poles_rad_per_s, creep.zeros_rad_per_s, strict=True):
         halves = 0.5 * sample_period_s * np.array([pole, zero])
@@ -35,23 +26,11 @@ def remove_creep(signal: FloatArray, creep: CreepDynamics, sample_period_s: floa
 def remove_creep_of_held(
     signal: FloatArray, creep: CreepDynamics, sample_period_s: float,
 ) -> FloatArray:
-    """Return the held input whose response, including the creep, is the given signal.
+    """Return the held input, (N,), whose response, including the creep, is the given signal.
 
-    Each sample of the signal is the response at the end of its hold.
-
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    creep : CreepDynamics
-        If it has an exponential with negative gain, as no material does, or two equal poles,
-        `remove_creep` is used instead.
-    sample_period_s : float
-        Sample period of any length.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Input that begins in equilibrium with the first sample.
+    Each sample of the signal is the response at the end of its hold, of any length. The input
+    begins in equilibrium with the first sample. If the creep has an exponential with negative gain,
+    as no material does, or two equal poles, `remove_creep` is used instead.
     """
     rates, zeros = np.array(creep.poles_rad_per_s), np.array(creep.zeros_rad_per_s)
     apart = rates[None, :] - rates[:, None] + np.eye(rates.size)
@@ -80,20 +59,11 @@ def inverse_of_creep(
     state matrix of the inverse, a - b b' / d, is symmetric, so the inverse is also a sum of
     exponentials. A single filter of high order would lose all digits, as all poles are near 1.
 
-    Parameters
-    ----------
-    rates, gains : ndarray, shape (P,)
-        Rates p in rad/s and gains g of the creep 1 + sum g p / (s + p); no gain is negative.
-    unanswered : ndarray, shape (P,)
-        Fraction m of a step of the input that each exponential still lacks in the same sample.
-
-    Returns
-    -------
-    at_once : float
-        Direct feedthrough d.
-    forgotten, weights : ndarray, shape (P,)
-        Decay and weight of each exponential. The input is y[n] less the sums of
-        weight y[m] (1 - forgotten)^(n - 1 - m) over all m < n, divided by d.
+    The creep is 1 + sum g p / (s + p), with rates p in rad/s and gains g, (P,), none of which is
+    negative. `unanswered`, (P,), is the fraction m of a step of the input that each exponential
+    still lacks in the same sample. Returned are the direct feedthrough d, and decay (`forgotten`)
+    and weight of each exponential, (P,): the input is y[n] less the sums of weight y[m] (1 -
+    forgotten)^(n - 1 - m) over all m < n, divided by d.
     """
     gone = -np.expm1(-rates * sample_period_s)
     at_once = float(1.0 + gains @ (1.0 - unanswered))

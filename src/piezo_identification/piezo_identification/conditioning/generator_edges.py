@@ -44,13 +44,8 @@ def generator_edges(wave: SquareWave) -> GeneratorEdges | None:
     """Find the edges of a generator with constant period and duty.
 
     An edge shows in the first sample after it, which bounds its time. Linear programming finds the
-    period, duty and time for which all edges are farthest from their bounds.
-
-    Returns
-    -------
-    GeneratorEdges or None
-        None if constant period and duty do not explain the steps, or the period is a whole number
-        of samples.
+    period, duty and time for which all edges are farthest from their bounds. The result is None if
+    constant period and duty do not explain the steps, or the period is a whole number of samples.
     """
     steps = wave.steps
     if steps.size < FEWEST_EDGES or np.all(steps[2:] - steps[:-2] == steps[2] - steps[0]):
@@ -73,16 +68,11 @@ def generator_edges(wave: SquareWave) -> GeneratorEdges | None:
 
 
 def free_running_level(wave: SquareWave) -> FloatArray | None:
-    """Return held levels that have the same effect on slow dynamics as those of the generator.
+    """Return held levels, (N,), that affect slow dynamics as those of the generator do.
 
     The two levels around a step are changed so that area and centroid of the change are those of
     the step between the samples. The error of a slow response is then of third order in the sample
-    period.
-
-    Returns
-    -------
-    ndarray, shape (N,), or None
-        Levels; None if `generator_edges` returns None.
+    period. The result is None if `generator_edges` returns None.
     """
     edges = generator_edges(wave)
     if edges is None:
@@ -102,15 +92,10 @@ def moved_between_rows(held: FloatArray, early: FloatArray, is_smooth: bool) -> 
     weights values there. A linear system, whose response is smooth, then responds as to the change
     itself.
 
-    Parameters
-    ----------
-    held : ndarray, shape (N parts,)
-        Signal in equal parts of its rows.
-    early : ndarray, shape (N,)
-        Time from each change to the row that shows it, in rows; 0 in all other rows.
-    is_smooth : bool
-        Whether only a linear system follows: all parts within the row are then weighted, which
-        overshoots. Otherwise, the signal rises or falls in the part of the change.
+    The signal, (N parts,), is given in equal parts of its rows, and `early`, (N,), is the time from
+    each change to the row that shows it, in rows; 0 in all other rows. If only a linear system
+    follows (`is_smooth`), all parts within the row are weighted, which overshoots. Otherwise, the
+    signal rises or falls in the part of the change.
     """
     parts = held.size // early.size
     rows = np.flatnonzero(early)

@@ -37,15 +37,9 @@ MOST_LISTED = 5
 def with_outliers_marked(recording: Recording) -> Recording:
     """Mark the outliers of a recording, and replace them by interpolation between good samples.
 
-    Samples at which the sensor is clipped are marked, too, and keep their value.
-
-    Estimators that accept a mask exclude the marked samples by `good_samples`; the others use the
-    interpolated values.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recording; it is returned unchanged if it has the column `OUTLIER`.
+    Samples at which the sensor is clipped are marked, too, and keep their value. Estimators that
+    accept a mask exclude the marked samples by `good_samples`; the others use the interpolated
+    values. A recording that has the column `OUTLIER` is returned unchanged.
     """
     if OUTLIER in recording.columns:
         return recording
@@ -67,13 +61,9 @@ def with_jump_rows_marked(recording: Recording) -> Recording:
     """Mark the first row of each jump of the voltage, and give it the displacement of the next one.
 
     A model without dynamics answers a jump at once. A row holds the displacement of the instant at
-    which its voltage begins, so that the response is shown by the next row.
-
-    Parameters
-    ----------
-    recording : Recording
-        Recording with marked outliers; returned unchanged if its voltage jumps in many rows, which
-        are points that were measured at rest.
+    which its voltage begins, so that the response is shown by the next row. The recording has
+    marked outliers. It is returned unchanged if its voltage jumps in many rows, which are points
+    that were measured at rest.
     """
     voltage_v = np.asarray(recording.voltage_v, dtype=float)
     rows = jumps_of(voltage_v)
@@ -104,13 +94,7 @@ def good_samples(recording: Recording) -> NDArray[np.bool_]:
 def outliers_of_residual(
     residual_um: FloatArray, measured_um: FloatArray, voltage_v: FloatArray, noise_um: float = 0.0,
 ) -> NDArray[np.bool_]:
-    """Mark the outliers in the residual of a model, (N,).
-
-    Parameters
-    ----------
-    noise_um : float
-        Lower bound of the standard deviation of the noise of a sample.
-    """
+    """Mark the outliers in the residual of a model, (N,), at a noise of at least `noise_um`."""
     # Model and stage may respond to a jump at different times, which moves the residual.
     return isolated(residual_um, voltage_v, typical_answer_per_v(measured_um, voltage_v),
                     max(noise_um, SMALL * typical_range(measured_um)), JUMP)

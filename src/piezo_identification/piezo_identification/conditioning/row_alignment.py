@@ -85,22 +85,10 @@ class RowDelay:
 def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recording:
     """Return a recording whose displacements are those at the times of its rows.
 
-    Parameters
-    ----------
-    read_at_samples : float
-        Time at which the displacements were read, in sample periods after the voltage of their row
-        changed; 1 for the end of the hold.
-
-    Returns
-    -------
-    Recording
-        Recording without the rows whose displacement is unknown. Fractions of a period are
-        interpolated by cubic splines.
-
-    Raises
-    ------
-    ValueError
-        If a row cannot be read so late, or the recording is too short.
+    They were read by `read_at_samples` sample periods after the voltage of their row changed, such
+    as 1 for the end of the hold. Rows whose displacement is unknown are left out, and fractions of
+    a period are interpolated by cubic splines. Raise ValueError if a row cannot be read so late, or
+    the recording is too short.
     """
     if not abs(read_at_samples) <= LATEST_READING:
         raise ValueError(
@@ -140,12 +128,9 @@ def reading_at_jumps(recording: Recording) -> float | None:
     or if the voltage was measured together with the displacement. Only jumps with a held voltage in
     the rows before and after them are used.
 
-    Returns
-    -------
-    float or None
-        0 if rows are read with their voltage, 1 at the end of the hold. None if there is no such
-        jump, if rows are fast, averaged or missing, or if the row of the jump shows only part of
-        it.
+    The result is 0 if rows are read with their voltage, and 1 at the end of the hold. It is None if
+    there is no such jump, if rows are fast, averaged or missing, or if the row of the jump shows
+    only part of it.
     """
     if recording.gaps:
         return None
@@ -190,23 +175,13 @@ def remaining_delay(
     measured_um: FloatArray, simulated_um: FloatArray, sample_period_s: float,
     nuisance: FloatArray, kept: NDArray[np.bool_] | None = None,
 ) -> tuple[float, float]:
-    """Estimate the delay of a measured signal after a simulated one.
+    """Estimate the delay of a measured signal after a simulated one, both (N,).
 
     A short delay subtracts the velocity times the delay. Errors may be correlated within a fiftieth
-    of the recording; errors of different fiftieths are assumed to be independent.
-
-    Parameters
-    ----------
-    measured_um, simulated_um : ndarray, shape (N,)
-    nuisance : ndarray, shape (N, K)
-        Regressors for other differences, such as an offset.
-    kept : ndarray of bool, shape (N,), optional
-        Samples to use; all by default.
-
-    Returns
-    -------
-    delay_s, standard_deviation_s : float
-        Delay and its standard deviation, which is infinite if nothing moves.
+    of the recording; errors of different fiftieths are assumed to be independent. The regressors of
+    other differences, such as an offset, are (N, K), and all samples are used unless those to use
+    are given, (N,). Return the delay in s and its standard deviation, which is infinite if nothing
+    moves.
     """
     velocity = -np.gradient(simulated_um, sample_period_s)
     both = np.column_stack([velocity, measured_um - simulated_um])

@@ -31,17 +31,10 @@ def experiment_of(name: str) -> str:
 
 
 def testable(recordings: Mapping[str, Any]) -> dict[str, Any]:
-    """Choose the recordings on which a model can be tested.
+    """Return the data on which a model can be tested, by name of the experiment.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Data by name of the experiment; further recordings are numbered: creep, creep 2.
-
-    Returns
-    -------
-    dict of str to Recording or FrequencyResponse
-        Data without short stretches, unless an experiment has no others.
+    Further recordings are numbered: creep, creep 2. Short stretches are left out, unless an
+    experiment has no others.
     """
     def is_long(data: Any) -> bool:
         return not isinstance(data, Recording) or data.voltage_v.size >= FEWEST_TO_TEST
@@ -55,12 +48,8 @@ def played_segments(recordings: Recordings) -> list[Recording]:
     """Divide recordings into stretches without gaps in which a waveform is played.
 
     The motion in a gap is unknown, so each stretch begins with an unknown past. Stretches in which
-    the voltage rests show only noise and drift, and are omitted.
-
-    Raises
-    ------
-    ValueError
-        If no waveform is played, or no stretch is long enough.
+    the voltage rests show only noise and drift, and are omitted. Raise ValueError if no waveform is
+    played, or no stretch is long enough.
     """
     segments = []
     for recording in listed(recordings):
@@ -82,10 +71,7 @@ def played_segments(recordings: Recordings) -> list[Recording]:
 def voltage_range_v(parts: Sequence[Recording]) -> tuple[float, float]:
     """Return the lowest and highest voltage of recordings.
 
-    Raises
-    ------
-    ValueError
-        If the voltage does not change.
+    Raise ValueError if the voltage does not change.
     """
     lowest_v = min(part.voltage_v.min() for part in parts)
     highest_v = max(part.voltage_v.max() for part in parts)
@@ -99,16 +85,8 @@ def voltage_range_v(parts: Sequence[Recording]) -> tuple[float, float]:
 def longest_stretch(recording: Recording) -> tuple[Recording, list[str]]:
     """Return the longest stretch between the gaps of a recording, and a message about it.
 
-    Returns
-    -------
-    recording : Recording
-        The recording itself if it has no gaps while a waveform is played.
-    sentences : list of str
-
-    Raises
-    ------
-    ValueError
-        See `played_segments`.
+    It is the recording itself, without a message, if it has no gaps while a waveform is played. For
+    what it raises see `played_segments`.
     """
     part = recording.select(recording.playing | recording.tracking)
     if not part.gaps:

@@ -46,13 +46,8 @@ def sensor_noise_um(displacement_um: FloatArray, voltage_v: FloatArray, residual
                     period: int | None) -> float:
     """Estimate the standard deviation of the sensor's noise in three ways, and return the least.
 
-    Model errors can only increase the estimates.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v, residual_um : (N,) array
-    period : int or None
-        Period of the voltage in samples from `repeated_period`.
+    Model errors can only increase the estimates. The signals are (N,), and the period of the
+    voltage in samples is that of `repeated_period`.
     """
     found = noise_estimates_um(displacement_um, voltage_v, residual_um, period)
     return min(noise for noise in found if noise)
@@ -124,16 +119,10 @@ def noise_floor_um(residual_um: FloatArray) -> float:
 
 def spectra_of_segments(signal: FloatArray, size: int,
                         drift_order: int) -> Iterator[ComplexArray]:
-    """Yield the spectra of segments in batches of shape (segments, lines).
+    """Yield the spectra of segments of a signal, (N,), in batches of shape (segments, lines).
 
-    The drift of each segment is removed, and a Hann window is applied.
-
-    Parameters
-    ----------
-    size : int
-        Samples of a segment, at most N.
-    drift_order : int
-        Degree of the polynomial of the drift.
+    Each segment has `size` samples, at most N. Its drift, a polynomial of degree `drift_order`, is
+    removed, and a Hann window is applied.
     """
     window = hann(size, sym=False)
     drift = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), drift_order + 1))[0]

@@ -24,13 +24,9 @@ SLOWEST = 0.05
 def moves_against(
     displacement_um: FloatArray, reference: FloatArray, free: FloatArray | None = None,
 ) -> bool:
-    """Return whether a displacement moves against a reference, the slowest motion above all.
+    """Return whether a displacement moves against a reference, (N,), the slowest motion above all.
 
-    Parameters
-    ----------
-    displacement_um, reference : (N,) array
-    free : (N, k) array, optional
-        Nuisance regressors that are projected out of both; by default the mean.
+    The nuisance regressors `free`, (N, k), by default the mean, are projected out of both.
     """
     free = np.ones((reference.size, 1)) if free is None else free
     both = np.column_stack([displacement_um, reference])
@@ -49,11 +45,8 @@ def _correlation(moved: ComplexArray | FloatArray, given: ComplexArray | FloatAr
 def displacement_falls(recording: Recording) -> bool:
     """Return whether the displacement falls overall as the voltage rises.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording with a voltage that is slow compared with the vibrations; its longest stretch is
-        used.
+    The voltage is slow compared with the vibrations, and the longest stretch of the recording is
+    used.
     """
     stretches = played_segments(recording) if recording.gaps else [played(recording)]
     part = max(stretches, key=lambda each: each.voltage_v.size)

@@ -108,10 +108,7 @@ def slow_dynamics(
 ) -> SlowDynamics:
     """Return the dynamics with all modes that have to settle.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Effects, of which the parallel modes with a notable participation are included.
+    Of the effects, parallel modes with a notable participation are included.
     """
     own = {each.name: getattr(dynamics, each.name) for each in fields(ElectricVibrationDynamics)}
     return SlowDynamics(
@@ -121,10 +118,7 @@ def slow_dynamics(
 def slow_delay_s(dynamics: ElectricVibrationDynamics, effects: Sequence[Effect]) -> float:
     """Return the delay of slow signals from effects, in addition to that of `slow_dynamics`.
 
-    Parameters
-    ----------
-    effects : sequence of Effect
-        Effects, of which delays, lags of amplifier or sensor, and small parallel modes count.
+    Delays, lags of amplifier or sensor, and small parallel modes count.
     """
     in_series_s = low_frequency_delay_s(dynamics) - dynamics.time_constant_s
     delay_s = 0.0
@@ -178,22 +172,12 @@ def _stand_out(poles: ComplexArray, shares: FloatArray) -> BoolArray:
 
 def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
                      sample_period_s: float) -> BoolArray:
-    """Mark the rows in which a mode rings after a jump that is too fast for the rows.
+    """Mark the rows, (N,), in which a mode rings after a jump that is too fast for the rows.
 
-    Its phase in such a row depends on what a slow recording cannot show, such as the shape of a
-    lag in front of the hysteresis.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-        Dynamics, with all modes that have to settle.
-    voltage_v : (N,) array
-
-    Returns
-    -------
-    (N,) array of bool
-        False everywhere if the rows resolve the modes. At most `MOST_OF_RECORDING` of the longest
-        run between two jumps is marked after each of them.
+    Its phase in such a row depends on what a slow recording cannot show, such as the shape of a lag
+    in front of the hysteresis. The dynamics contain all modes that have to settle. No row is marked
+    if the rows resolve the modes. At most `MOST_OF_RECORDING` of the longest run between two jumps
+    is marked after each of them.
     """
     rows = np.arange(voltage_v.size)
     frequencies = [*dynamics.mode_frequencies_rad_per_s, *(
@@ -209,16 +193,10 @@ def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,
                   effects: Sequence[Effect] = ()) -> int:
-    """Find the first sample of a recording after its start has settled.
+    """Find the first sample of a recording after its start has settled, by its times, (N,).
 
-    At most the fraction `MOST_OF_RECORDING` of the recording is excluded.
-
-    Parameters
-    ----------
-    time_s : (N,) array
-        Time since the start.
-    effects : sequence of Effect
-        Effects, of which parallel modes and lags have to settle, too.
+    At most the fraction `MOST_OF_RECORDING` of the recording is excluded. Parallel modes and lags
+    among the effects have to settle, too.
     """
     if not isinstance(dynamics, SlowDynamics):
         dynamics = slow_dynamics(dynamics, effects)

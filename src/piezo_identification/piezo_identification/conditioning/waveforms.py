@@ -61,10 +61,7 @@ of theirs by this factor. Smaller differences are a small part of the noise of t
 def played(recording: Recording) -> Recording:
     """Return the part of a recording in which a waveform or trajectory is played, without ramps.
 
-    Raises
-    ------
-    ValueError
-        If nothing is played, or samples are missing.
+    Raise ValueError if nothing is played, or samples are missing.
     """
     part = recording.select(recording.playing | recording.tracking)
     if part.gaps:
@@ -79,13 +76,8 @@ def played(recording: Recording) -> Recording:
 def with_voltage_before(recording: Recording, part: Recording) -> tuple[FloatArray, int]:
     """Return the voltage of a part of a recording, preceded by the voltage before it.
 
-    The hysteresis depends on the voltage before the part, too.
-
-    Returns
-    -------
-    voltage_v : ndarray, shape (M,)
-    lead : int
-        Number of samples before the part.
+    The hysteresis depends on the voltage before the part, too. Also return the number of samples
+    before the part.
     """
     before = np.asarray(recording.voltage_v)[recording.sample_index < part.sample_index[0]]
     return np.concatenate([before, part.voltage_v]).astype(float), before.size
@@ -124,16 +116,8 @@ def square_part(recording: Recording) -> Recording:
     The hysteresis under a square wave is periodic from the first step on at the latest: the step to
     the second level closes the loop, whatever the past. Before it, the state is unknown.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording; the levels are those of its middle half.
-
-    Returns
-    -------
-    Recording
-        The part in which the voltage takes only two values; the whole recording if the middle half
-        does not have two levels, or the voltage never returns to one of them.
+    The levels are those of the middle half of the recording. The whole recording is returned if
+    that half does not have two levels, or the voltage never returns to one of them.
     """
     voltage_v = recording.voltage_v
     middle = slice(voltage_v.size // 4, voltage_v.size - voltage_v.size // 4)
@@ -180,10 +164,7 @@ def has_holds(recording: Recording) -> bool:
 def square_wave(recording: Recording) -> SquareWave:
     """Return the voltage of a recording as a square wave.
 
-    Raises
-    ------
-    ValueError
-        If the voltage takes other values than two levels, or never changes.
+    Raise ValueError if the voltage takes other values than two levels, or never changes.
     """
     wave = two_levels(recording)
     if wave is None:
@@ -195,26 +176,16 @@ def square_wave(recording: Recording) -> SquareWave:
 
 
 def first_settled_step(signal: FloatArray, steps: NDArray[np.intp], earliest: int) -> int:
-    """Find the first step of a square wave from which all periods are equal.
+    """Find the first step of a square wave from which all periods are equal, by its number.
 
     A mode that rings for long, or a loop that is not closed yet, makes the first periods differ
     from the later ones by more than these differ from each other. Offset and slope of each period
     are attributed to creep and ignored.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-        Measured displacement.
-    steps : ndarray of int
-        Samples at which the square wave changes its level.
-    earliest : int
-        Earliest sample of the step.
-
-    Returns
-    -------
-    int
-        Index into `steps`. At most the first half of the periods is excluded. If there are few
-        periods, or the wave is not periodic, it is the first step from the earliest sample on.
+    The signal, (N,), is the measured displacement, `steps` are the samples at which the wave
+    changes its level, and `earliest` is the earliest sample of the step. At most the first half of
+    the periods is excluded. If there are few periods, or the wave is not periodic, it is the first
+    step from the earliest sample on.
     """
     first = int(np.searchsorted(steps, earliest))
     kept = steps[first:]

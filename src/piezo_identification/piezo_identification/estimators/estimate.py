@@ -193,13 +193,8 @@ def order_trial(
 ) -> OrderTrial:
     """Rate a fit by its residual: the Bayesian information criterion N ln(mean square) + P ln N.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (N,)
-        Residual with equal variances.
-    signal : ndarray, optional
-        Fitted signal, in the unit of the residual. An exact fit leaves only rounding, which does
-        not justify more parameters.
+    The residual, (N,), has equal variances. The fitted signal, in the unit of the residual, is
+    given if an exact fit leaves only rounding, which does not justify more parameters.
     """
     mean_square = np.mean(residual**2)
     least = 0.0 if signal is None else finest_power(signal)
@@ -223,21 +218,11 @@ def independent_rows(residual: FloatArray) -> float:
 def parameter_covariance(
     jacobian: FloatArray, residual: FloatArray, parameters: int | None = None,
 ) -> FloatArray:
-    """Covariance of the parameters of a least-squares fit with white residual.
+    """Return the covariance, (P, P), of the parameters of a least-squares fit with white residual.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (N, P)
-        Jacobian of the residual at the optimum, in the same scale; linear parameters may be
-        projected out.
-    residual : ndarray, shape (N,)
-    parameters : int, optional
-        Total number of free parameters, if the Jacobian has fewer columns.
-
-    Returns
-    -------
-    ndarray, shape (P, P)
-        A parameter that is not identifiable has an infinite variance and zero covariances.
+    The Jacobian of the residual, (N, P), is that at the optimum, in the same scale; linear
+    parameters may be projected out, so that there are more free parameters than columns. A
+    parameter that is not identifiable has an infinite variance and zero covariances.
     """
     variance = np.sum(residual**2) / (residual.size - (parameters or jacobian.shape[1]))
     spread, unknown = scaled_inverse(jacobian)
@@ -248,13 +233,10 @@ def parameter_covariance(
 
 
 def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Covariance, (Q, Q), of quantities that depend on parameters; infinite for unknown ones.
+    """Return the covariance, (Q, Q), of quantities that depend on parameters.
 
-    Parameters
-    ----------
-    sensitivity : ndarray, shape (Q, P)
-    covariance : ndarray, shape (P, P)
-        Result of `parameter_covariance`.
+    The variance of quantities that depend on unknown parameters is infinite. The sensitivity is (Q,
+    P), and the covariance, (P, P), a result of `parameter_covariance`.
     """
     unknown = np.isinf(np.diag(covariance))
     finite = np.where(np.isinf(covariance), 0.0, covariance)
@@ -266,20 +248,12 @@ def propagated(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def scaled_inverse(jacobian: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Square root of the inverse normal matrix of a Jacobian, without squaring its condition.
+    """Return the inverse of the normal matrix of a Jacobian without squaring its condition.
 
-    Parameters
-    ----------
-    jacobian : ndarray, shape (N, P)
-        Jacobian with at least as many rows as columns.
-
-    Returns
-    -------
-    spread : ndarray, shape (P, P)
-        ``spread @ spread.T`` is the inverse of ``jacobian.T @ jacobian``, without the directions
-        lost to rounding.
-    unknown : ndarray of bool, shape (P,)
-        Parameters that are part of such a direction, and therefore not identifiable.
+    The Jacobian is (N, P). The result is the square root of the inverse, (P, P): ``spread @
+    spread.T`` is the inverse of ``jacobian.T @ jacobian``, without the directions lost to rounding.
+    Also return the parameters that are part of such a direction, and therefore not identifiable,
+    (P,). There are at least as many rows as columns.
     """
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
@@ -296,17 +270,9 @@ def unidentified_parameters(
 ) -> list[str]:
     """Return the names of parameters whose standard deviation is larger than their value.
 
-    A lag is excluded: a large deviation shows that it is short or absent.
-
-    Parameters
-    ----------
-    standard_deviations : dict of str to dict
-        Standard deviations of creep and dynamics, with the names and shapes of their fields.
-
-    Returns
-    -------
-    list of str
-        Such as ``creep poles_rad_per_s 2``, counted from 1.
+    They are such as ``creep poles_rad_per_s 2``, counted from 1. A lag is excluded: a large
+    deviation shows that it is short or absent. The standard deviations are those of creep and
+    dynamics, with the names and shapes of their fields.
     """
     unidentified = []
     for part in ("creep", "dynamics"):
@@ -324,22 +290,11 @@ def creep_of_partial_fractions(
     rates: FloatArray, gains: FloatArray, covariance: FloatArray | None = None,
     fastest: float = np.inf,
 ) -> tuple[CreepDynamics, dict[str, Any]]:
-    """Creep 1 + sum g p / (s + p) as poles and zeros, with their standard deviations.
+    """Return creep 1 + sum g p / (s + p) as poles and zeros, with their standard deviations.
 
-    Parameters
-    ----------
-    rates, gains : ndarray, shape (P,)
-        Poles p and positive gains g.
-    covariance : ndarray, shape (2 P, 2 P), optional
-        Covariance of the rates, followed by the gains.
-    fastest : float
-        Rate from which an exponential counts as part of the immediate response.
-
-    Returns
-    -------
-    model : CreepDynamics
-    standard_deviations : dict
-        Empty if no covariance is given.
+    Poles p and positive gains g are (P,). The deviations are empty if no covariance, (2 P, 2 P), of
+    the rates, followed by the gains, is given. An exponential of at least the rate `fastest` counts
+    as part of the immediate response.
     """
     rates, gains, covariance = _with_immediate(rates, gains, covariance, fastest)
     order = np.argsort(rates)

@@ -33,10 +33,7 @@ LARGEST_PART = 0.5
 def rates_of_law(bounds: FloatArray) -> FloatArray:
     """Return logarithms of rates that cover those which the rows show, and two slower ones.
 
-    Parameters
-    ----------
-    bounds : (2,) array
-        Logarithms of the slowest and the fastest rate that the rows show.
+    The bounds, (2,), are the logarithms of the slowest and the fastest rate that the rows show.
     """
     count = int(np.ceil(np.ptp(bounds) / np.log(RATIO))) + 2
     rates: FloatArray = bounds[1] - np.log(RATIO) * (np.arange(count, 0.0, -1.0) - 0.5)
@@ -53,18 +50,8 @@ def continued(point: FloatArray, end_rad_per_s: float) -> tuple[FloatArray, Floa
     """Continue a power law from the rates that the rows show to a faster one.
 
     A law whose gains increase with the rates ends earlier, before it takes the immediate gain.
-
-    Parameters
-    ----------
-    point : (P,) array
-    end_rad_per_s : float
-        See `end_of_law_rad_per_s`.
-
-    Returns
-    -------
-    point : (Q,) array
-    free : (Q, 2) array
-        Its change with level and exponent.
+    Return the continued point, (Q,), and its change with level and exponent, (Q, 2); for the last
+    rate see `end_of_law_rad_per_s`.
     """
     rates, gains = np.split(point, 2)
     end = np.log(max(end_rad_per_s, np.exp(rates[-1])))
@@ -82,15 +69,9 @@ def continued(point: FloatArray, end_rad_per_s: float) -> tuple[FloatArray, Floa
 def creep_of_point(
     point: FloatArray, free: FloatArray, covariance: FloatArray,
 ) -> tuple[CreepDynamics, dict[str, Any]]:
-    """Return the creep of a point and its standard deviations.
+    """Return the creep of a point, (P,), and its standard deviations.
 
-    Parameters
-    ----------
-    point : (P,) array
-    free : (P, n) array
-        Change of the point with each free number.
-    covariance : (n, n) array
-        Covariance of these numbers.
+    `free`, (P, n), is the change of the point with each free number, whose covariance is (n, n).
     """
     values = np.exp(point)
     rates, gains = np.split(values, 2)
@@ -102,12 +83,8 @@ def end_of_law_rad_per_s(dynamics: ElectricVibrationDynamics | None,
                          highest_rad_per_s: float) -> float:
     """Return the rate up to which a power law is continued.
 
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics or None
-        Known dynamics: the law ends below the modes that ring.
-    highest_rad_per_s : float
-        Highest frequency of the fast recordings, which replaces that of the modes if none is known.
+    It ends below the known modes that ring, or below the highest frequency of the fast recordings
+    if none is known.
     """
     dynamics = dynamics or ElectricVibrationDynamics()
     parallel = dynamics.parallel_modes if isinstance(dynamics, SlowDynamics) else ()

@@ -452,17 +452,10 @@ class _Part:
 @njit(cache=True, nogil=True)
 def _sums_of_rest(signal: FloatArray, bins: NDArray[np.intp], count: int, kept: FloatArray,
                   weights: FloatArray) -> FloatArray:
-    """Sum over each bin the change of a signal, minus weighted sums of its past.
+    """Sum over each of `count` bins the change of a signal, minus weighted sums of its past.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (N,)
-    bins : ndarray of int, shape (N,)
-        Bin of each sample; negative for none.
-    count : int
-        Number of bins.
-    kept, weights : ndarray, shape (P,)
-        Fraction of each sum that is kept from one sample to the next, and its weight.
+    Signal and number of the bin of each sample, negative for none, are (N,). `kept`, (P,), is the
+    fraction of each sum that is kept from one sample to the next, and `weights`, (P,), its weight.
     """
     sums, states = np.zeros(count), np.zeros(kept.size)
     for n in range(signal.size):

@@ -149,16 +149,9 @@ def left_out_s(dynamics: ElectricVibrationDynamics | None, delay_s: float = 0.0,
     """Return the time after a step in which fast motion hides the creep.
 
     The time depends on the dynamics, because a fast stage may creep within milliseconds. It is at
-    most the fraction `MOST_OF_RECORDING` of a step, however slowly a mode decays.
-
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics or None
-        If None or static, the dynamics are unknown, and at least the usual time is omitted.
-    delay_s : float
-        Delay of the rows of the recording in addition to the dynamics.
-    step_s : float
-        Duration of the longest step of the recording.
+    most the fraction `MOST_OF_RECORDING` of the longest step, which lasts `step_s`, however slowly
+    a mode decays. If the dynamics are unknown (None or static), at least the usual time is omitted.
+    The rows are late by `delay_s` in addition to the dynamics.
     """
     if dynamics is None or dynamics.is_static:
         return max(USUAL_SETTLING_S, delay_s)

@@ -74,15 +74,8 @@ def fit_with_fast_creep(
 ) -> Estimate:
     """Fit the dynamics of least output error, with fast creep if the record shows it.
 
-    Parameters
-    ----------
-    record_without : callable
-        Returns the record with a given creep removed.
-
-    Returns
-    -------
-    Estimate
-        Its `creep` is in addition to the known one.
+    `record_without` returns the record with a given creep removed; the other arguments are those of
+    `fit_output_error`. The `creep` of the estimate is in addition to the known one.
     """
     made = cache(record_without)
     found = fast_creep(made, creep)
@@ -126,15 +119,11 @@ def fast_creep(
 
 
 def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> FloatArray:
-    """Return rates (rad/s) that represent any creep which a fast record could show.
+    """Return rates (rad/s), (R,), that represent any creep which a fast record could show.
 
     They start above the known creep, or where the record lasts for one decay. They end below all
-    ringing modes, or where a decay lasts for one row.
-
-    Returns
-    -------
-    ndarray, shape (R,)
-        Empty if nothing rings, or if the known creep is as fast.
+    ringing modes, or where a decay lasts for one row. There are none if nothing rings, or if the
+    known creep is as fast.
     """
     period_s = record.input.sample_period_s
     fastest = min(SLOWER_THAN_MODES * _lowest_ringing(free), 1.0 / (ROWS_OF_DECAY * period_s))
@@ -149,12 +138,8 @@ def sought_rates(record: FastRecord, free: FreeFit, creep: CreepDynamics) -> Flo
 def best_free_fit(record: FastRecord, near: FreeFit | None = None) -> FreeFit:
     """Return the fit of free poles with the most evidence.
 
-    Parameters
-    ----------
-    record : FastRecord
-        Record, whose rows are thinned to save time.
-    near : FreeFit, optional
-        Fit with the initial poles; by default those of a vector fit.
+    The rows of the record are thinned to save time. The fit starts from the poles of the fit
+    `near`; by default from those of a vector fit.
     """
     thin = record.thinned(ROWS_OF_SEARCH)
     fits = free_fits(thin, MOST_MODES) if near is None else nested_fits(
@@ -170,16 +155,11 @@ def joined_creep(first: CreepDynamics, second: CreepDynamics) -> CreepDynamics:
 
 
 def project_out_slow_error(record: FastRecord) -> FastRecord:
-    """Remove slow errors from a record if it has them.
+    """Remove slow errors from a record if it has them; otherwise return the same record.
 
-    It does if its loops are far slower than the ringing modes, and free poles form slow oscillating
-    pairs, which neither a lag nor creep has. Slow cosines among the further signals then describe
-    the errors; of a long record, slow lines are left out.
-
-    Returns
-    -------
-    FastRecord
-        The same record if it has none.
+    It has them if its loops are far slower than the ringing modes, and free poles form slow
+    oscillating pairs, which neither a lag nor creep has. Slow cosines among the further signals
+    then describe the errors; of a long record, slow lines are left out.
     """
     poles = best_free_fit(record).poles
     frequencies, dampings = np.abs(poles), -poles.real / np.abs(poles)

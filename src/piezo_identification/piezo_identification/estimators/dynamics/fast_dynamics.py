@@ -68,10 +68,8 @@ class ModeOrder:
 def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
     """Return the vector, (1 + 4 m,), of ``ModeOrder(0, 0, m, is_coupled=True)``.
 
-    Parameters
-    ----------
-    poles, residues : ndarray of complex, shape (1 + 2 m,)
-        The lag, then adjacent pairs of poles, each conjugate or both real; any gain at rest.
+    Poles and residues, (1 + 2 m,), are the lag, then adjacent pairs of poles, each conjugate or
+    both real, with any gain at rest.
     """
     rest = np.sum(-residues / poles).real
     through_lag = residues * (1.0 - poles / poles[0]) / rest
@@ -93,20 +91,11 @@ def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
 def fast_dynamics_of(
     vector: FloatArray, order: ModeOrder,
 ) -> tuple[ElectricVibrationDynamics, tuple[Effect, ...]]:
-    """Dynamics of a vector, and additional effects: parallel modes and a sensor lag.
+    """Return the dynamics of a vector, and additional effects: parallel modes and a sensor lag.
 
-    Parameters
-    ----------
-    vector : ndarray, shape (P,)
-        Logarithms of positive values: the lag; frequencies and damping ratios of the modes in
-        series, of the antiresonances and of the parallel modes; the sensor lag. Then the
-        participations of the parallel modes.
-
-    Returns
-    -------
-    dynamics : ElectricVibrationDynamics
-    effects : tuple of Effect
-        Like the dynamics, in order of frequency.
+    The vector, (P,), contains logarithms of positive values: the lag; frequencies and damping
+    ratios of the modes in series, of the antiresonances and of the parallel modes; the sensor lag.
+    The participations of the parallel modes follow. All modes are returned in order of frequency.
     """
     values = values_of(vector[ascending_places(vector, order)], order)
     main, frequencies, dampings, lags, *shares = _split(values, order)
@@ -134,12 +123,8 @@ def split_deviations(
 ) -> tuple[dict[str, object], tuple[dict[str, float], ...]]:
     """Split standard deviations in the order of a vector's values, (P,).
 
-    Returns
-    -------
-    dynamics : dict
-        Standard deviations by the names of the fields of `ElectricVibrationDynamics`.
-    effects : tuple of dict
-        Standard deviations of parallel modes, then of the sensor lag, by parameter name.
+    Return those of the dynamics by the names of the fields of `ElectricVibrationDynamics`, and
+    those of parallel modes, then of the sensor lag, by parameter name.
     """
     main, frequencies, dampings, lag, *shares = _split(deviations, order)
     names = "frequency_rad_per_s", "damping_ratio", "participation", "velocity_participation"
@@ -179,17 +164,10 @@ def with_lags_apart(vector: FloatArray, order: ModeOrder) -> FloatArray:
 def poles_and_residues(
     vectors: FloatArray, order: ModeOrder,
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Partial fractions of dynamics with unit gain at rest.
+    """Return partial fractions of dynamics with unit gain at rest.
 
-    Parameters
-    ----------
-    vectors : ndarray, shape (B, P)
-        Several vectors of `fast_dynamics_of`.
-
-    Returns
-    -------
-    poles, residues : ndarray of complex, shape (B, n)
-        Lag, sensor lag, then the modes in pairs. The response is the sum of r / (s - p).
+    For vectors of `fast_dynamics_of`, (B, P), poles and residues are (B, n): lag, sensor lag, then
+    the modes in pairs. The response is the sum of r / (s - p).
     """
     values = vectors.copy()
     values[:, : order.positive] = np.exp(vectors[:, : order.positive])

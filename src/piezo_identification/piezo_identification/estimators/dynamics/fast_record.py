@@ -189,10 +189,7 @@ class FastRecord:
                      independent: float = INDEPENDENT) -> float:
         """Return the log-evidence of a fit with this many parameters besides the fixed columns.
 
-        Parameters
-        ----------
-        independent : float
-            Number of errors that count, limited to the number of rows.
+        At most `independent` errors count, and no more than there are rows.
         """
         rows = fit.residual.size
         accuracy_um = FIT.model_tolerance * np.ptp((self.every_row or self).measured_um)
@@ -484,13 +481,9 @@ def real_products(signals: list[ComplexArray], weights: list[ComplexArray]) -> F
 def independent(columns: FloatArray, span: FloatArray | None = None) -> FloatArray:
     """Return orthonormal columns of the span of columns, (N, K), without directions of rounding.
 
-    Slow exponentials are nearly equal in a short record. If they were kept as they are, the
-    minimum would be obscured by rounding errors, and a search would end anywhere near it.
-
-    Parameters
-    ----------
-    span : ndarray, shape (N, M), optional
-        Orthonormal columns, to which the ones returned are orthogonal.
+    Slow exponentials are nearly equal in a short record. If they were kept as they are, the minimum
+    would be obscured by rounding errors, and a search would end anywhere near it. The columns
+    returned are orthogonal to the orthonormal ones of `span`, (N, M), if it is given.
     """
     norms = np.linalg.norm(columns, axis=0)
     # A decay that ends before the record begins is zero throughout.

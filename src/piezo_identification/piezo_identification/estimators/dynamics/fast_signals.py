@@ -29,19 +29,9 @@ def joined_record(
 ) -> FastRecord:
     """Join recordings one after another, each with its own offset and initial creep.
 
-    Parameters
-    ----------
-    parts : sequence of Recording
-        Results of `played_at_the_clock`, with the same sample period.
-    inputs_um : sequence of ndarray
-        Input of the dynamics in each recording, in any unit.
-    first_kept : sequence of int
-        First sample of each recording that is fitted.
-
-    Raises
-    ------
-    ValueError
-        If the input of the dynamics is constant.
+    The parts are results of `played_at_the_clock`, with the same sample period. Each has an input
+    of the dynamics, in any unit, and a first sample that is fitted. Raise ValueError if an input is
+    constant.
     """
     for part, entering_um in zip(parts, inputs_um, strict=True):
         if np.ptp(entering_um) == 0.0:
@@ -64,12 +54,9 @@ def joined_record(
 
 
 def played_at_the_clock(recording: Recording) -> Recording:
-    """Part of a recording in which a waveform plays; averaged recordings are refused.
+    """Return the part of a recording in which a waveform plays.
 
-    Raises
-    ------
-    ValueError
-        If samples are missing, or are means over several.
+    Raise ValueError if samples are missing, or are means over several.
     """
     part = played(recording)
     if samples_per_mean(part) > 1:
@@ -85,10 +72,7 @@ def through_hysteresis(
 ) -> FloatArray:
     """Return the input of the dynamics: the output of a hysteresis since the recording started.
 
-    Raises
-    ------
-    ValueError
-        If the voltage leaves the range of the hysteresis.
+    Raise ValueError if the voltage leaves the range of the hysteresis.
     """
     low_v, high_v = part.voltage_v.min(), part.voltage_v.max()
     slack_v = 1e-6 * (hysteresis.voltage_max_v - hysteresis.voltage_min_v)

@@ -19,22 +19,13 @@ FAR_MORE = 2.0
 
 
 def fit_covariance(fit: FastFit, linear_parameters: int) -> FloatArray:
-    """Covariance of the vector of a fit, and of its delay if that was fitted.
+    """Return the covariance of the vector of a fit, and of its delay if that was fitted.
 
-    It differs in three ways from that of a linear fit with white residual. Neighbouring errors of
-    an incomplete model are correlated, and count less. The response depends on two nearly equal
-    lags only by the square of their difference. And a short lag, which cannot be negative, differs
-    from a delay only by its square.
-
-    Parameters
-    ----------
-    linear_parameters : int
-        Number of parameters that were fitted linearly.
-
-    Returns
-    -------
-    ndarray, shape (P, P) or (P + 1, P + 1)
-        Covariance of logarithms, except for participations of parallel modes and the delay.
+    It is (P, P) or (P + 1, P + 1), of logarithms except for participations of parallel modes and
+    the delay. It differs in three ways from that of a linear fit with white residual. Neighbouring
+    errors of an incomplete model are correlated, and count less. The response depends on two nearly
+    equal lags only by the square of their difference. And a short lag, which cannot be negative,
+    differs from a delay only by its square. So many other parameters were fitted linearly.
     """
     covariance = parameter_covariance(
         fit.jacobian, fit.residual, fit.jacobian.shape[1] + linear_parameters)
@@ -95,14 +86,9 @@ def _of_positive_lag(covariance: FloatArray, lag: int) -> FloatArray:
 def delay_deviation(fit: FastFit, without: FastFit | None, variance: float) -> float:
     """Return the standard deviation of a delay, in sample periods.
 
-    If the fit without the delay is far worse, there must be a delay, whatever else the model lacks.
-    The deviation is then at most the delay over the square root of twice the gain in
-    log-likelihood.
-
-    Parameters
-    ----------
-    without : FastFit or None
-        Fit of the same order without delay; None if it is not available.
+    If the fit without the delay, of the same order, is far worse, there must be a delay, whatever
+    else the model lacks. The deviation is then at most the delay over the square root of twice the
+    gain in log-likelihood.
     """
     deviation = float(np.sqrt(variance))
     if without is None or without.cost <= FAR_MORE * fit.cost:

@@ -26,15 +26,8 @@ def with_edges_between(
 ) -> FastRecord:
     """Place the edges of generators between the samples if that reduces the error.
 
-    Parameters
-    ----------
-    record : FastRecord
-        Record whose input is the levels of square waves, as sampled.
-
-    Returns
-    -------
-    FastRecord
-        The same record if a recording has no edges, or if its edges lie at the samples.
+    The input of the record is the levels of square waves, as sampled. The same record is returned
+    if a recording has no edges, or if its edges lie at the samples.
     """
     found = [each for each in edges if each is not None]
     held = record.input
@@ -73,10 +66,8 @@ def _fitted_edges(record: FastRecord, directions: FloatArray) -> tuple[HeldInput
 def moved_edges(held: HeldInput, earlier: FloatArray) -> HeldInput:
     """Move the edges of an input, but not beyond the adjacent samples.
 
-    Parameters
-    ----------
-    earlier : ndarray, shape (N,)
-        Fraction of a sample period by which each edge is moved earlier; 0 where there is no edge.
+    Each edge is moved earlier by a fraction of a sample period, (N,), which is 0 where there is
+    none.
     """
     early = np.zeros_like(held.samples) if held.early is None else held.early
     return replace(held, early=np.clip(early + earlier, 0.0, 1.0))
@@ -86,15 +77,10 @@ def edge_responses(
     held: HeldInput, directions: FloatArray, poles: ComplexArray, residues: ComplexArray,
     delay: float,
 ) -> FloatArray:
-    """Differentiate the response of poles by displacements of the edges of its input, (N, K).
+    """Differentiate the response of poles, (n,), by displacements of the edges of its input.
 
-    Parameters
-    ----------
-    directions : ndarray, shape (N, K)
-        Fractions of a sample period by which each edge is earlier, in each direction.
-    poles, residues : ndarray of complex, shape (n,)
-    delay : float
-        Delay in sample periods.
+    Each direction, a column of (N, K), is the fraction of a sample period by which each edge is
+    earlier. The delay is in sample periods. The result is (N, K).
     """
     assert held.early is not None
     columns = []

@@ -60,19 +60,9 @@ def free_fits(record: FastRecord, most_modes: int) -> Iterator[FreeFit]:
 def nested_fits(record: FastRecord, poles: ComplexArray, delay: float) -> list[FreeFit]:
     """Fit poles with free residues, then remove one pair at a time and refit.
 
-    The pair whose removal increases the error least is removed.
-
-    Parameters
-    ----------
-    poles : ndarray of complex, shape (n,)
-        Poles in rad/s, closed under conjugation; a fast one is added to an even number.
-    delay : float
-        Delay in sample periods.
-
-    Returns
-    -------
-    list of FreeFit
-        Fits with 0, 1, 2, ... modes, up to the number of the given poles.
+    The pair whose removal increases the error least is removed. The poles (rad/s), (n,), are closed
+    under conjugation; a fast one is added to an even number. The delay is in sample periods. The
+    fits have 0, 1, 2, ... modes, up to the number of the given poles.
     """
     # A spectrum cannot represent edges between the samples.
     seen = record.at_lines(LINES) if record.is_on_the_clock else record
@@ -150,14 +140,10 @@ def vector_of_poles(poles: ComplexArray) -> FloatArray:
 
 
 def dynamics_of_poles(poles: ComplexArray) -> ElectricVibrationDynamics:
-    """Electric lag and modes with given poles.
+    """Return electric lag and modes with given poles (rad/s), (1 + 2 modes,).
 
-    Parameters
-    ----------
-    poles : ndarray of complex, shape (1 + 2 modes,)
-        Poles in rad/s, closed under conjugation. Unstable poles are replaced by their stable
-        mirror images. Real poles form overdamped modes, except the fastest, which is the
-        electric lag.
+    The poles are closed under conjugation. Unstable ones are replaced by their stable mirror
+    images. Real poles form overdamped modes, except the fastest, which is the electric lag.
     """
     mode_count = (poles.size - 1) // 2
     # Noise may make poles unstable.

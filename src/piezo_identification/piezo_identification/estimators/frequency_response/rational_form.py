@@ -175,12 +175,10 @@ class RationalForm:
         return replace(self, **counts), np.delete(vector, places), np.delete(free, places)
 
     def zeros_between(self, vector: FloatArray, rate: FloatArray) -> FloatArray:
-        """Zeros of parallel modes, mirrored into the left half plane, as antiresonances.
+        """Return zeros of parallel modes, mirrored into the left half plane, as antiresonances.
 
-        Returns
-        -------
-        ndarray, shape (2, M)
-            Logarithms of frequencies and of positive damping ratios, at most one per mode.
+        These are logarithms of frequencies and of positive damping ratios, (2, M), at most one per
+        mode.
         """
         w, damping = np.exp(vector[self.mode_places[:2]]) / [[rate[-1]], [1.0]]
         system = np.zeros((2 * self.modes + 1, 2 * self.modes + 1))

@@ -37,13 +37,9 @@ def without_hold(measured: FrequencyResponse, system: control.StateSpace | None 
                  delay_s: float = 0.0) -> FrequencyResponse:
     """Return a measured response converted to that of the stage alone.
 
-    Parameters
-    ----------
-    measured : FrequencyResponse
-        A response without hold is returned unchanged.
-    system : control.StateSpace, optional
-        Approximate continuous system of the stage. It determines the aliases from above half the
-        sample rate, which are small if the response falls fast; by default they are not corrected.
+    A response without hold is returned unchanged. An approximate continuous system of the stage
+    determines the aliases from above half the sample rate, which are small if the response falls
+    fast; by default they are not corrected.
     """
     if not measured.hold_s:
         return measured

@@ -54,24 +54,13 @@ def is_response_table(path: Path) -> bool:
 def read_response_table(path: Path) -> tuple[FloatArray, ComplexArray]:
     """Read a response from the text file of another program.
 
-    Parameters
-    ----------
-    path : Path
-        File with a frequency in Hz, kHz or rad/s, and the gain as real and imaginary part, or as
-        magnitude (also in dB) and phase in degrees or rad; or a Touchstone file, of which the first
-        parameter is read. Magnitudes in nm/V and similar units are converted to um/V.
+    The file has a frequency in Hz, kHz or rad/s, and the gain as real and imaginary part, or as
+    magnitude (also in dB) and phase in degrees or rad. Or it is a Touchstone file, of which the
+    first parameter is read. Magnitudes in nm/V and similar units are converted to um/V.
 
-    Returns
-    -------
-    frequency_hz : ndarray, shape (N,)
-        Increasing, without 0 Hz.
-    gain : ndarray of complex, shape (N,)
-        Mean of the rows of a frequency, which occurs twice where two bands of a sweep meet.
-
-    Raises
-    ------
-    ValueError
-        If a column or its unit is missing, or a row has no number.
+    Return the increasing frequencies in Hz, without 0, and the gains, (N,). A frequency occurs
+    twice where two bands of a sweep meet; its gain is the mean of these rows. Raise ValueError if a
+    column or its unit is missing, or a row has no number.
     """
     head = text_columns(path)
     found = {} if head is None else _columns(path, head)

@@ -125,15 +125,8 @@ def density_of_parts(
 ) -> DensityEstimate:
     """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
-    Parameters
-    ----------
-    level_count, cells_per_level, smoothing_weight, translation_weight, most_levels, near, most_rows
-        As in `estimate_density`.
-
-    Raises
-    ------
-    ValueError
-        If the voltage does not change or never returns.
+    The options are those of `estimate_density`. Raise ValueError if the voltage does not change or
+    never returns.
     """
     every = max(1, -(-sum(segment.samples.size for segment in segments) // most_rows))
     segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
@@ -148,15 +141,10 @@ def density_of_parts(
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:
-    """Return the number of equal voltage steps that the recordings resolve.
+    """Return the number of equal voltage steps that the recordings resolve, from 1 to `LEVELS`.
 
     Of a voltage that stands in most rows, the levels count: only the ends of a jump matter to the
     hysteresis. Of one that moves, rows are as far apart as most of its steps are high.
-
-    Returns
-    -------
-    int
-        Between 1 and `LEVELS`.
     """
     voltage_v = np.concatenate([part.voltage_v for part in parts])
     steps_v = np.concatenate([np.abs(np.diff(part.voltage_v)) for part in parts])
@@ -187,18 +175,10 @@ def hysteresis_output_um(
     recording: Recording, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     delay_s: float = 0.0,
 ) -> FloatArray:
-    """Hysteresis output at each sample: creep, electric and vibration dynamics removed.
+    """Return the hysteresis output at each sample, (N,): creep and fast dynamics removed.
 
-    Parameters
-    ----------
-    dynamics : ElectricVibrationDynamics
-        Dynamics, inverted at low frequency by (4.18) and (4.19) if the voltage is slow compared
-        with them.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Output, except for the decaying effect of the creep's initial state.
+    The dynamics are inverted at low frequency by (4.18) and (4.19) if the voltage is slow compared
+    with them. The decaying effect of the creep's initial state remains.
     """
     displacement_um = recording.displacement_um
     if dynamics.is_static and delay_s == 0.0:

@@ -39,13 +39,9 @@ def remove_dynamics(
     """Return the input of the dynamics, (N,), as values held from each sample on.
 
     The inverse is the stable, non-causal one of Wiener: ``conj(D) / (|D|^2 + e^2)``. It is applied
-    to the residual of the displacement after fitting a line in the voltage. The response to the
-    line is calculated, so that the damping of high frequencies only affects the small residual.
-
-    Parameters
-    ----------
-    displacement_um, voltage_v : ndarray, shape (N,)
-        Each displacement is measured before its voltage acts.
+    to the residual of the displacement after fitting a line in the voltage, both (N,). The response
+    to the line is calculated, so that the damping of high frequencies only affects the small
+    residual. Each displacement is measured before its voltage acts.
     """
     added = samples_added(voltage_v.size)
     frequency_hz: FloatArray = np.fft.rfftfreq(

@@ -160,18 +160,8 @@ def equations_of_folds(
 ) -> list[Equations]:
     """Return the equations of the samples with sufficiently known memory, by folds.
 
-    Parameters
-    ----------
-    levels_v : ndarray, shape (n + 1,)
-    folds : sequence of ndarray of int, optional
-        For every segment, the fold of each of its samples; by default a single fold.
-    about : ndarray, optional
-        See `Equations`.
-
-    Raises
-    ------
-    ValueError
-        If no sample can be used.
+    For every segment, the fold of each of its samples is given; by default there is a single one.
+    The levels are (n + 1,); for `about` see `Equations`. Raise ValueError if no sample can be used.
     """
     if folds is None:
         folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]

@@ -39,20 +39,15 @@ class EverettRegression:
 def everett_regression(
     voltage_v: FloatArray, levels_v: FloatArray, samples: NDArray[np.intp] | None = None,
 ) -> EverettRegression:
-    """Regression of the hysteresis output on the Everett values at the crossings of the levels.
+    """Return the regression of the hysteresis output on Everett values at crossings of levels.
 
     The density is constant in each cell, so this is exactly eq. (2.3) in other unknowns. The memory
     before the first voltage is unknown. It no longer matters once the voltage has reached either
     end of the levels, provided that no relays switch beyond them.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-        Voltages beyond the levels act as the outermost level.
-    levels_v : ndarray, shape (n + 1,)
-        Uniform and increasing.
-    samples : ndarray of int, optional
-        Increasing indices of the voltages whose rows are computed; all by default.
+    The levels, (n + 1,), are uniform and increasing; of the voltages, (N,), those beyond them act
+    as the outermost level. `samples` are increasing indices of the voltages whose rows are
+    computed; all by default.
     """
     samples = np.arange(len(voltage_v)) if samples is None else samples
     size = levels_v.size - 1
@@ -68,21 +63,10 @@ def remembered_pairs(
 ) -> tuple[FloatArray, IntArray]:
     """Return the pairs of remembered voltages whose Everett values make up the output.
 
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (n + 1,)
-        Uniform and increasing; only their ends matter.
-    samples : ndarray of int
-        Increasing indices.
-
-    Returns
-    -------
-    pairs : ndarray, shape (P, 4)
-        Index among the samples, upper and lower voltage with the range scaled to -1 to 1, and
-        the sign of the value.
-    history : ndarray of int
-        As in `EverettRegression`; a sample with a negative number has no pairs.
+    The arguments are those of `everett_regression`; only the ends of the levels matter. Each pair,
+    (P, 4), has the index among the samples, upper and lower voltage with the range scaled to -1 to
+    1, and the sign of the value. The history is as in `EverettRegression`; a sample with a negative
+    number has no pairs.
     """
     size = levels_v.size - 1
     pairs, history = _pairs(_positions(voltage_v, levels_v), size, samples.astype(np.int64))
@@ -91,13 +75,11 @@ def remembered_pairs(
 
 
 def density_operator(size: int) -> csr_array:
-    """Densities of the cells, times the area of a full one, from the unknowns of the regression.
+    """Return the operator of the densities of cells, times the area of a full one.
 
-    Returns
-    -------
-    csr_array, shape (n (n + 1) / 2, n (n + 1) / 2 + n)
-        The mixed second difference. On the diagonal, where a cell is a half cell, twice the
-        Everett value without the reversible part.
+    It acts on the unknowns of the regression, and is (n (n + 1) / 2, n (n + 1) / 2 + n): the mixed
+    second difference. On the diagonal, where a cell is a half cell, it is twice the Everett value
+    without the reversible part.
     """
     i, j = np.tril_indices(size)
     cell = np.arange(i.size)
@@ -124,23 +106,12 @@ def density_operator(size: int) -> csr_array:
 
 def visited_cells(voltage_v: FloatArray, levels_v: FloatArray,
                   samples: NDArray[np.intp] | None = None) -> BoolArray:
-    """Cells of the Preisach plane in which the moving corner of the memory has been.
+    """Return the cells of the Preisach plane, (n, n), in which the corner of the memory has been.
 
     Only there does the output determine the density of each cell. One full loop switches all
-    relays, but its corner moves along two sides of the triangle only.
-
-    Parameters
-    ----------
-    voltage_v : ndarray, shape (N,)
-    levels_v : ndarray, shape (n + 1,)
-        Uniform and increasing.
-    samples : ndarray of int, optional
-        Samples whose output is known; all by default.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n)
-        Row of the cell's alpha, column of its beta; False above the diagonal.
+    relays, but its corner moves along two sides of the triangle only. The row is that of the cell's
+    alpha, the column that of its beta; cells above the diagonal are False. The arguments are those
+    of `everett_regression`; `samples` are those whose output is known.
     """
     position = _positions(voltage_v, levels_v)
     level = np.round(position)
@@ -155,14 +126,8 @@ def summed_over_corners(
 ) -> FloatArray:
     """Sum a value of the cells over the corners of the memory at each sample, (N,).
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, n)
-        Value of each cell: row of its alpha, column of its beta.
-    voltage_v : ndarray, shape (N,)
-        Voltages after negative saturation.
-    levels_v : ndarray, shape (n + 1,)
-        Uniform and increasing.
+    The values, (n, n), have the row of a cell's alpha and the column of its beta. The voltages,
+    (N,), come after negative saturation, and the levels, (n + 1,), are uniform and increasing.
     """
     # After the lowest level, the memory of every sample is known.
     position = np.concatenate([[0.0], _positions(voltage_v, levels_v)])

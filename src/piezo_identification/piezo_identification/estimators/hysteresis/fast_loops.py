@@ -86,14 +86,9 @@ class LoopFit:
 
 
 class LoopRegression:
-    """Regression of all recordings on the responses to Everett values.
+    """Regression of all recordings, of one sample period, on the responses to Everett values.
 
-    Parameters
-    ----------
-    recordings : sequence of FastLoops
-        Recordings with the same sample period.
-    past : str
-        One of `PASTS`. It matters for new voltages until the voltage has been at either end.
+    The past, one of `PASTS`, matters for new voltages until the voltage has been at either end.
     """
 
     def __init__(self, recordings: Sequence[FastLoops], past: str = PASTS[0]) -> None:
@@ -136,10 +131,7 @@ class LoopRegression:
     def slopes(self, fit: LoopFit, changes: Callable[[FloatArray], ComplexArray]) -> FloatArray:
         """Return the derivatives of a fit's residual by the parameters of its response, (R + 1, P).
 
-        Parameters
-        ----------
-        changes : callable
-            Derivatives of the response by the parameters, shape (P, F), at frequencies (Hz).
+        `changes` returns those of the response, (P, F), at frequencies in Hz.
         """
         size = self._bending.shape[0]
         driven = np.vstack([

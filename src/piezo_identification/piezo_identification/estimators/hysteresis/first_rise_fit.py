@@ -47,18 +47,10 @@ def estimate_first_rise(
     the highest voltage so far, the remanence adds to it, and remains as an increased displacement
     at the lowest voltage afterwards.
 
-    Parameters
-    ----------
-    voltage_v, output_um : ndarray, shape (N,)
-        Input and output of the hysteresis, without the linear dynamics.
-    highest_v : float
-        Highest voltage that the stage had reached before.
-
-    Returns
-    -------
-    FirstRise or None
-        None if the recording does not return to its lowest voltage and rise again, shows no
-        significant remanence, or continues to drift after the highest voltage was reached.
+    Input and output of the hysteresis, (N,), are without the linear dynamics, and the stage had
+    reached `highest_v` before. The result is None if the recording does not return to its lowest
+    voltage and rise again, shows no significant remanence, or continues to drift after the highest
+    voltage was reached.
     """
     low_v, high_v = float(voltage_v.min()), float(voltage_v.max())
     at_low = voltage_v <= low_v + NEAR_THE_END * (high_v - low_v)
@@ -137,14 +129,8 @@ def without_first_rise(
 ) -> Recording:
     """Return the played part of a recording as if the stage had been cycled before.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording that begins with the first rise.
-    dynamics : ElectricVibrationDynamics
-        Dynamics that follow the hysteresis.
-    highest_v : float, optional
-        Highest voltage that the stage had reached before; by default that of the recording.
+    The recording begins with the first rise, and the dynamics follow the hysteresis. The stage had
+    reached `highest_v` before; by default the highest voltage that the recording shows.
     """
     part = played(recording)
     shown_v = highest_before(recording)

@@ -14,10 +14,7 @@ from piezo_identification.estimators.hysteresis.everett_regression import densit
 def bounded_operator(size: int) -> csr_array:
     """Return the operator of the non-negative quantities: densities and reversible parts.
 
-    Returns
-    -------
-    csr_array, shape (n (n + 1) / 2 + n, n (n + 1) / 2 + n)
-        Acts on the unknowns of the regression.
+    It acts on the n (n + 1) / 2 + n unknowns of the regression, and has as many rows.
     """
     crossings = size * (size + 1) // 2
     return vstack([density_operator(size), eye_array(size, crossings + size, k=crossings)]).tocsr()
@@ -40,14 +37,10 @@ def curvature_operator(size: int) -> csr_array:
 
 
 def reversible_differences(size: int, order: int) -> csr_array:
-    """Differences of the reversible parts, and small multiples of the parts themselves.
+    """Return the operator of differences of the reversible parts, and small multiples of these.
 
-    The multiples let the parts be zero where the data do not determine them.
-
-    Returns
-    -------
-    csr_array, shape (2 n - order, n (n + 1) / 2 + n)
-        Acts on the unknowns of the regression.
+    The multiples let the parts be zero where the data do not determine them. It acts on the
+    unknowns of the regression, and has 2 n - order rows.
     """
     crossings = size * (size + 1) // 2
     differences = np.diff(np.eye(size), order, axis=0)

@@ -92,24 +92,12 @@ class PlaySum:
 
 def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
               near: PlaySum | None = None) -> PlaySum | None:
-    """Fit a sum of plays to loops.
+    """Fit a sum of plays to loops; return None if there are too few samples.
 
     For any two curves, the best weights follow from a non-negative linear regression, so that only
-    the curves are sought (Golub and Pereyra 1973).
-
-    Parameters
-    ----------
-    segments : sequence of HysteresisSegment
-        Segments, each with its own offsets.
-    levels_v : (n + 1,) array
-        Uniform and increasing; their ends define the range.
-    near : PlaySum, optional
-        Fit to nearly the same loops, whose curves are the starting point.
-
-    Returns
-    -------
-    PlaySum or None
-        None if there are too few samples.
+    the curves are sought (Golub and Pereyra 1973). Each segment has its own offsets. The levels, (n
+    + 1,), are uniform and increasing; their ends define the range. The curves of a fit to nearly
+    the same loops, `near`, are the starting point.
     """
     regression = _PlayRegression(segments, levels_v)
     if regression.count < ROWS_PER_NUMBER * (WIDTHS.size + SLOPE_KNOTS):

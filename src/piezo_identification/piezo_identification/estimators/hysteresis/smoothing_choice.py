@@ -91,17 +91,9 @@ def choose_penalties(
     """Choose the largest weight of the curvature that predicts held-out branches as well as any.
 
     "As well as any" means that the mean over the folds is worse by no more than the standard error
-    of the difference, or the random variation of a mean square.
-
-    Parameters
-    ----------
-    levels_v : ndarray, shape (n + 1,)
-    translation : float
-        Weight of the change along the diagonal.
-    about : ndarray, optional
-        See `Equations`.
-    near : float, optional
-        Weight of the curvature chosen from nearly the same segments, from which the search starts.
+    of the difference, or the random variation of a mean square. The levels are (n + 1,), and
+    `translation` is the weight of the change along the diagonal; for `about` see `Equations`. The
+    search starts from the weight chosen from nearly the same segments, `near`, if there is one.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
     if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
@@ -120,16 +112,8 @@ def refine_smoothing(
 ) -> PenaltyChoice:
     """Continue from weights that were chosen on few cells to a smoothing for more of them.
 
-    Errors of a coarse grid hide how much curvature the density may have.
-
-    Parameters
-    ----------
-    levels_v : ndarray, shape (n + 1,)
-        Levels of the finer grid.
-    forces : ndarray
-        Approximate multipliers of the bounds on the finer grid.
-    about : ndarray, optional
-        See `Equations`; on the finer grid.
+    Errors of a coarse grid hide how much curvature the density may have. Levels, approximate
+    multipliers of the bounds (`forces`), and `about` (see `Equations`) are those of the finer grid.
     """
     trials = _Trials(
         equations_of_folds(segments, levels_v, branch_folds(segments), about), forces)

@@ -42,17 +42,11 @@ class HeldInput:
     def responses(
         self, poles: ComplexArray, delay: float, rows: NDArray[np.intp] | None = None,
     ) -> PoleResponses:
-        """Return the response of every pole to the input.
+        """Return the response of every stable pole (rad/s), (n,), to the input.
 
-        Parameters
-        ----------
-        poles : ndarray of complex, shape (n,)
-            Stable poles in rad/s.
-        delay : float
-            Delay in sample periods: output sample n is the response at n minus the delay. If it
-            is negative, the output is read after the input changes.
-        rows : ndarray of int, shape (K,), optional
-            Indices of the output samples to compute, ascending; by default all.
+        The delay is in sample periods: output sample n is the response at n minus the delay. If it
+        is negative, the output is read after the input changes. `rows`, (K,), are the ascending
+        indices of the output samples to compute; by default all.
         """
         scaled = poles * self.sample_period_s
         ahead = int(np.floor(-delay))

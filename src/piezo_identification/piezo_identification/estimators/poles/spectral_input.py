@@ -38,13 +38,8 @@ class SpectralLines:
                    most: int, slowest: float = 0.0) -> "SpectralLines":
         """Choose lines that an input excites, dense at low frequencies and spread over all.
 
-        Parameters
-        ----------
-        samples : ndarray, shape (N,)
-        most : int
-            Approximate number of lines in all stretches together.
-        slowest : float
-            Smallest phase by which a line advances in a sample, in rad.
+        The input is (N,), and `most` the approximate number of lines in all stretches together. In
+        a sample, each line advances at least by the phase `slowest` (rad).
         """
         chosen = []
         for stretch in stretches:
@@ -108,15 +103,8 @@ class SpectralInput:
     def transients(self, poles: ComplexArray) -> FloatArray:
         """Return possible transients of each stretch: of all poles, of a level, and of delays.
 
-        Parameters
-        ----------
-        poles : ndarray of complex, shape (n,)
-            Poles in rad/s; one of each conjugate pair represents both.
-
-        Returns
-        -------
-        ndarray, shape (2 K, S (n + 1 + DELAYED))
-            For a periodic input, (2 K, 0).
+        Of the poles (rad/s), (n,), one of each conjugate pair represents both. The result is (2 K,
+        S (n + 1 + DELAYED)), and for a periodic input (2 K, 0).
         """
         if self.is_periodic:
             return np.empty((2 * self.phases.size, 0))

@@ -43,17 +43,9 @@ class Lines:
 
 
 def vector_fit(lines: Lines, pole_count: int) -> ComplexArray:
-    """Poles of proper rational functions that approximate an output.
+    """Return stable poles (rad/s) of proper rational functions that approximate an output.
 
-    Returns
-    -------
-    ndarray of complex, shape (pole_count,)
-        Stable poles in rad/s.
-
-    Raises
-    ------
-    ValueError
-        If there are too few frequencies.
+    Raise ValueError if there are too few frequencies for so many.
     """
     rate = lines.rate_rad_per_s
     if rate.size <= pole_count:
@@ -81,10 +73,7 @@ def vector_fit(lines: Lines, pole_count: int) -> ComplexArray:
 def residual_of_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
     """Return the residual of the best rational functions with given poles, shape (N,).
 
-    Parameters
-    ----------
-    poles : ndarray of complex, shape (n,)
-        Poles in rad/s, closed under conjugation.
+    The poles (rad/s), (n,), are closed under conjugation.
     """
     scale = lines.rate_rad_per_s.max()
     columns = lines.columns(_basis(1j * lines.rate_rad_per_s / scale, poles / scale)[2])
