@@ -9,8 +9,10 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
-from piezo_identification.axes.shared_poles import delays, mode_basis, transient_basis
+from piezo_identification.axes.shared_poles import delays, transient_basis
 from piezo_identification.axes.spectra import Spectrum
+from piezo_identification.estimators.poles.spectral_input import real_rows
+from piezo_identification.estimators.poles.vector_fitting import mode_basis
 
 ROWS_PER_NUMBER = 12
 """Rows whose slopes' squares are summed for each number: neighbouring lines of one mode have nearly
@@ -111,9 +113,9 @@ def softened_numbers(linear: CoupledNumbers, levels: Sequence[Sequence[Spectrum]
             gain = np.stack([each.motion for each in level], axis=2)
             matrix = np.einsum("ki,s,m,km,kiq->kismq", weight, strengths, start.softening,
                                mode_basis(spectrum.z, steps), gain, optimize=True)
-            rows.append(_real(matrix.reshape(weight.size, -1)))
+            rows.append(real_rows(matrix.reshape(weight.size, -1)))
             residual = linear.motions([spectrum])[0] - spectrum.motion
-            targets.append(_real((weight * residual).reshape(-1)))
+            targets.append(real_rows((weight * residual).reshape(-1)))
         start.back[:, :, :, axis] = _scaled_lstsq(
             np.concatenate(rows), np.concatenate(targets), ridge).reshape(powers, -1, n)
     amplitudes_v = [level[0].amplitude_v for level in levels]
@@ -243,7 +245,8 @@ class _Normal:
         square = np.sum((spectrum.weight[: groups * together] ** 2).reshape(
             groups, together, -1), axis=1)
         for output in range(rest.shape[1]):
-            rows = _real(np.sqrt(square[:, output, None]) * np.hstack([of_own, of_shared[output]]))
+            rows = real_rows(
+                np.sqrt(square[:, output, None]) * np.hstack([of_own, of_shared[output]]))
             self.squares[output] += rows.T @ rows
 
     def stepped(self, damping: float) -> CoupledNumbers:
@@ -320,16 +323,12 @@ def _cleared(spectrum: Spectrum, transients: ComplexArray, output: int,
              columns: ComplexArray) -> FloatArray:
     """Return weighted columns as real rows, with the transients of a recording projected out."""
     weight = spectrum.weight[:, output, None]
-    rows = _real(weight * columns)
+    rows = real_rows(weight * columns)
     if not spectrum.transient:
         return rows
-    orthogonal = np.linalg.qr(_real(weight * transients))[0]
+    orthogonal = np.linalg.qr(real_rows(weight * transients))[0]
     cleared: FloatArray = rows - orthogonal @ (orthogonal.T @ rows)
     return cleared
-
-
-def _real(values: ComplexArray) -> FloatArray:
-    return np.concatenate([values.real, values.imag])
 
 
 def _scaled_lstsq(rows: FloatArray, targets: FloatArray, ridge: float = 0.0) -> FloatArray:

@@ -11,11 +11,10 @@ from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.axes.shared_poles import (
     LEAST_STEP,
     delays,
-    mode_basis,
-    real_form,
     slopes_of_basis,
 )
 from piezo_identification.axes.spectra import Spectrum
+from piezo_identification.estimators.poles.vector_fitting import mode_basis, real_form
 
 SLOWEST = 1e-5
 """Least decay of a mode in a sample, and least turn of a pair: it would ring for 100 000 samples,

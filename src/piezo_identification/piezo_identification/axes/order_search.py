@@ -9,8 +9,9 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_fit import CoupledFit, covariances, linear_numbers, refined
-from piezo_identification.axes.shared_poles import FIRST_DAMPING, relocated
+from piezo_identification.axes.shared_poles import relocated
 from piezo_identification.axes.spectra import Spectrum, beside_resonances, smoothed
+from piezo_identification.estimators.poles.vector_fitting import FIRST_DAMPING
 from piezo_identification.fitting.model_weights import occam_penalty
 
 TAPS = 2

@@ -7,30 +7,17 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.spectra import Spectrum
-
-FIRST_DAMPING = 0.02
-"""Damping ratio of the poles at the start, as of a metal flexure with its actuators; the iteration
-moves poles by more than their width at once."""
+from piezo_identification.estimators.poles.vector_fitting import (
+    FIRST_DAMPING,
+    mode_basis,
+    real_form,
+)
 
 ITERATIONS = 10
 """Relocations of the poles; those of the sharp ones stand still after four or five."""
 
 LEAST_STEP = 1e-3
 """Least real pole: what decays faster than to a thousandth in a sample is the direct part."""
-
-
-def mode_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
-    """Return the responses whose real multiples are those of modes, (K, 2 pairs + real poles).
-
-    The poles in the z plane, (m,), begin with those of pairs, by their upper one.
-    """
-    pairs = steps[steps.imag > 0.0]
-    columns = np.empty((z.size, 2 * pairs.size + np.count_nonzero(steps.imag == 0.0)), complex)
-    upper, lower = (1.0 / (z[:, None] - each) for each in (pairs, pairs.conj()))
-    columns[:, 0:2 * pairs.size:2] = upper + lower
-    columns[:, 1:2 * pairs.size:2] = 1j * (upper - lower)
-    columns[:, 2 * pairs.size:] = 1.0 / (z[:, None] - steps[steps.imag == 0.0])
-    return columns
 
 
 def _slope_of_pole(z: ComplexArray, step: complex) -> ComplexArray:
@@ -128,17 +115,6 @@ def transient_basis(spectrum: Spectrum, steps: ComplexArray) -> ComplexArray:
     """Return the spectra of the transients at both ends of a recording."""
     z = spectrum.z
     return np.hstack([mode_basis(z, steps), z[:, None] ** np.arange(spectrum.ahead + 1)])
-
-
-def real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return real dynamics and drive whose states respond as `mode_basis`."""
-    pairs, real = steps[steps.imag > 0.0], steps[steps.imag == 0.0].real
-    dynamics = np.diag(np.concatenate([np.repeat(pairs.real, 2), real]))
-    drive = np.ones(len(dynamics))
-    for at, step in enumerate(pairs):
-        dynamics[2 * at, 2 * at + 1], dynamics[2 * at + 1, 2 * at] = step.imag, -step.imag
-        drive[2 * at: 2 * at + 2] = 2.0, 0.0
-    return dynamics, drive
 
 
 def _stable(found: ComplexArray) -> ComplexArray:

@@ -75,7 +75,7 @@ def _spectrum(signal: FloatArray) -> ComplexArray:
 
 
 def real_rows(values: ComplexArray) -> FloatArray:
-    """Return real parts followed by imaginary parts, of shape (2 K,) for shape (K,)."""
+    """Return real parts, (K, ...), followed by imaginary parts, together (2 K, ...)."""
     return np.concatenate([values.real, values.imag])
 
 

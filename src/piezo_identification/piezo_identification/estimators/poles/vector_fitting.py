@@ -10,9 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.estimators.poles.spectral_input import real_rows
 
 LINES = 600
 """Number of lines or frequencies from which poles are sought if there are more; fits use all."""
+
+FIRST_DAMPING = 0.02
+"""Damping ratio of the poles at the start, as of a metal flexure with its actuators; the iteration
+moves poles by more than their width at once."""
 
 RELOCATIONS = 8
 """Number of regressions of a vector fit, after which its poles hardly change."""
@@ -58,11 +63,11 @@ def vector_fit(lines: Lines, pole_count: int) -> ComplexArray:
     # The initial poles are distributed as the measured frequencies.
     ranks = np.linspace(0.0, 1.0, pole_count // 2 + 2)[1:-1]
     pairs = np.quantile(rate, ranks) / scale
-    poles = np.concatenate([(-0.02 + 1j) * pairs, (-0.02 - 1j) * pairs])
+    poles = np.concatenate([(-FIRST_DAMPING + 1j) * pairs, (-FIRST_DAMPING - 1j) * pairs])
     if pole_count % 2:
         poles = np.append(poles, -0.1)
     for _ in range(RELOCATIONS):
-        dynamics, drive, basis = _basis(s, poles)
+        basis, (dynamics, drive) = mode_basis(s, poles), real_form(poles)
         columns = np.hstack([lines.columns(basis), -lines.output[:, None] * basis])
         solution = _real_lstsq(lines.weight, columns, lines.output)
         poles = np.linalg.eigvals(dynamics - np.outer(drive, solution[-pole_count:]))
@@ -76,32 +81,40 @@ def residual_of_poles(lines: Lines, poles: ComplexArray) -> ComplexArray:
     The poles (rad/s), (n,), are closed under conjugation.
     """
     scale = lines.rate_rad_per_s.max()
-    columns = lines.columns(_basis(1j * lines.rate_rad_per_s / scale, poles / scale)[2])
+    columns = lines.columns(mode_basis(1j * lines.rate_rad_per_s / scale, poles / scale))
     return lines.output - columns @ _real_lstsq(lines.weight, columns, lines.output)
 
 
-def _basis(s: ComplexArray, poles: ComplexArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Real state space with these poles, and the responses of its states, (N, n)."""
-    pairs, real = poles[poles.imag > 0.0], poles[poles.imag == 0.0].real
-    dynamics, drive = np.diag(np.concatenate([np.repeat(pairs.real, 2), real])), np.ones(poles.size)
-    for i, pole in enumerate(pairs):
-        dynamics[2 * i, 2 * i + 1], dynamics[2 * i + 1, 2 * i] = pole.imag, -pole.imag
-        drive[2 * i : 2 * i + 2] = 2.0, 0.0
-    columns = []
-    for pole in pairs:
-        one, other = 1.0 / (s - pole), 1.0 / (s - pole.conjugate())
-        columns += [one + other, 1j * (one - other)]
-    columns += [1.0 / (s - pole) for pole in real]
-    return dynamics, drive, np.column_stack(columns)
+def mode_basis(z: ComplexArray, steps: ComplexArray) -> ComplexArray:
+    """Return the responses whose real multiples are those of modes, (K, 2 pairs + real poles).
+
+    The columns of pairs, by their upper pole, come before those of real poles. Of the poles in the
+    z plane or the s plane, (m,), those in the lower half are left out.
+    """
+    pairs = steps[steps.imag > 0.0]
+    columns = np.empty((z.size, 2 * pairs.size + np.count_nonzero(steps.imag == 0.0)), complex)
+    upper, lower = (1.0 / (z[:, None] - each) for each in (pairs, pairs.conj()))
+    columns[:, 0:2 * pairs.size:2] = upper + lower
+    columns[:, 1:2 * pairs.size:2] = 1j * (upper - lower)
+    columns[:, 2 * pairs.size:] = 1.0 / (z[:, None] - steps[steps.imag == 0.0])
+    return columns
+
+
+def real_form(steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return real dynamics and drive whose states respond as `mode_basis`."""
+    pairs, real = steps[steps.imag > 0.0], steps[steps.imag == 0.0].real
+    dynamics = np.diag(np.concatenate([np.repeat(pairs.real, 2), real]))
+    drive = np.ones(len(dynamics))
+    for at, step in enumerate(pairs):
+        dynamics[2 * at, 2 * at + 1], dynamics[2 * at + 1, 2 * at] = step.imag, -step.imag
+        drive[2 * at: 2 * at + 2] = 2.0, 0.0
+    return dynamics, drive
 
 
 def _real_lstsq(weight: FloatArray | float, columns: ComplexArray,
                 target: ComplexArray) -> FloatArray:
-    columns, target = (weight * columns.T).T, weight * target
-    stacked = np.vstack([columns.real, columns.imag])
+    stacked = real_rows((weight * columns.T).T)
     scale = np.linalg.norm(stacked, axis=0)
     scale[scale == 0.0] = 1.0
-    solution = np.linalg.lstsq(
-        stacked / scale, np.concatenate([target.real, target.imag]), rcond=None
-    )[0]
+    solution = np.linalg.lstsq(stacked / scale, real_rows(weight * target), rcond=None)[0]
     return solution / scale
