@@ -2,12 +2,17 @@
 """The response from one signal to another, estimated from their spectra."""
 
 import numpy as np
+from scipy.fft import prev_fast_len
+from scipy.signal import welch
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.sensor_noise import spectra_of_segments
 
 LINES = 2048
 """Most samples of a segment for a spectrum; short signals have shorter segments."""
+
+SEGMENTS, SHORTEST_SEGMENT = 8, 256
+"""Number of segments of a signal whose spectra are averaged, and fewest samples of one."""
 
 EXCITED = 1e-4
 """Smallest power of an excited line, as a fraction of the largest power of the input."""
@@ -36,3 +41,16 @@ def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
     crossed, of_input, of_output = crossed[excited], of_input[excited], of_output[excited]
     coherence = np.abs(crossed) ** 2 / np.maximum(of_input * of_output, np.finfo(float).tiny)
     return np.fft.rfftfreq(size, sample_period_s)[excited], crossed / of_input, coherence
+
+
+def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (Hz) and power spectral density (um^2/Hz) of a signal, (N,)."""
+    return welch(signal_um, 1.0 / sample_period_s, nperseg=segment_of(signal_um.size),
+                 detrend="linear")
+
+
+def segment_of(samples: int) -> int:
+    """Return the number of samples of each segment for averaging spectra."""
+    # A length with large prime factors takes several times as long.
+    longest = prev_fast_len(max(1, samples // SEGMENTS), real=True)
+    return int(min(samples, max(SHORTEST_SEGMENT, longest)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.analysis.gain_over_frequency import gain_of
+from piezo_identification.analysis.gain_over_frequency import SEGMENTS, gain_of
 from piezo_identification.conditioning import waveforms
 from piezo_identification.conditioning.segments import Recordings, listed
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
@@ -41,8 +41,6 @@ class Needs:
     steep_s: float = 2e-3
     steep: float = 0.5
     """Cycles count as steps if they cross the fraction `steep` of their swing within `steep_s`."""
-    spectra: int = 8
-    """Number of stretches of a broadband recording to estimate its frequency response."""
     coherent: float = 0.8
     """Smallest coherence of a line that is used."""
     departs: float = 0.4
@@ -336,7 +334,7 @@ def _departure(check: RecordingCheck) -> tuple[float, float]:
     modes with a millionth of their power. Modes, lags and delays change the response; hysteresis
     and creep hardly do. Returned are the frequency in Hz and the deviation.
     """
-    segment = max(16, check.voltage_v.size // NEEDS.spectra)
+    segment = max(16, check.voltage_v.size // SEGMENTS)
     frequency_hz, response, coherence = gain_of(
         check.voltage_v, check.displacement_um, check.sample_period_s, segment, least_power=0.0)
     coherent = coherence > NEEDS.coherent

@@ -7,12 +7,11 @@ from html import escape
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import welch
 
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import BLUE, CURVES, ORANGE, WIDE_IN, label, new_figure, outline
 from piezo_common.report_page import Section, pictured, render_page
-from piezo_identification.analysis.gain_over_frequency import LINES
+from piezo_identification.analysis.gain_over_frequency import spectrum
 from piezo_identification.recording_check.check import RecordingCheck
 from piezo_identification.recording_check.check_report import measured_rows
 from piezo_identification.recording_check.suitability import Suitability, jump_response
@@ -163,8 +162,7 @@ def _draw_plane(axes: Axes, check: RecordingCheck) -> None:
 
 
 def _draw_spectrum(axes: Axes, displacement_um: FloatArray, period_s: float) -> None:
-    frequency_hz, power = welch(displacement_um, 1.0 / period_s,
-                                nperseg=min(LINES, displacement_um.size))
+    frequency_hz, power = spectrum(displacement_um, period_s)
     if power[1:].any():
         axes.loglog(frequency_hz[1:], np.sqrt(power[1:]), color=BLUE, linewidth=1.0)
     label(axes, "frequency (Hz)", "noise (um/sqrt(Hz))", "spectrum of the displacement")

@@ -4,13 +4,13 @@
 Signals have the shape (N,), and `noise_um` is the standard deviation of a single sample.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from piezo_common.arrays import FloatArray
 from piezo_common.picture_style import (
@@ -29,7 +29,7 @@ from piezo_common.picture_style import (
     plain_numbers,
 )
 from piezo_common.report_page import Picture, pictured
-from piezo_identification.analysis.gain_over_frequency import gain_of
+from piezo_identification.analysis.gain_over_frequency import gain_of, spectrum
 from piezo_identification.report.waveform_view import WaveformView, mean_hold
 
 NANOMETRES = 1e3
@@ -192,24 +192,29 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
     return centres, powers
 
 
-def picture_over_frequency(name: str, residual_um: FloatArray, measured_um: FloatArray,
-                           sample_period_s: float, noise_um: float, source: str) -> Picture:
-    """Return the spectral densities of residual, displacement and white noise from some source."""
-    figure = new_figure(3.4)
-    axes = figure.subplots()
-    segment = min(residual_um.size, max(256, residual_um.size // 8), 8192)
-    for values, style in ((measured_um, MEASURED | {"linewidth": 1.2}),
-                          (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "residual"})):
-        frequency_hz, power = welch(values, 1.0 / sample_period_s, nperseg=segment,
-                                    detrend="linear")
+def draw_densities(axes: Axes, signals_um: Iterable[tuple[FloatArray, dict[str, Any]]],
+                   sample_period_s: float, noise_um: float) -> None:
+    """Draw the spectral densities of signals, each with its style, and of white noise."""
+    for signal_um, style in signals_um:
+        frequency_hz, power = spectrum(signal_um, sample_period_s)
         frequency_hz, power = smoothed(frequency_hz[1:-1], power[1:-1])
         axes.loglog(frequency_hz, NANOMETRES * np.sqrt(power), **style)
     if noise_um > 0.0:
         floor = NANOMETRES * noise_um * np.sqrt(2.0 * sample_period_s)
         axes.axhline(floor, label="noise, if white", **LIMIT)
         axes.set_ylim(bottom=0.1 * floor)
-    axes.legend(loc="upper right")
+    axes.legend(loc="best")
     label(axes, "frequency (Hz)", "density (nm per root Hz)")
     plain_numbers(axes.xaxis)
+
+
+def picture_over_frequency(name: str, residual_um: FloatArray, measured_um: FloatArray,
+                           sample_period_s: float, noise_um: float, source: str) -> Picture:
+    """Return the spectral densities of residual, displacement and white noise from some source."""
+    figure = new_figure(3.4)
+    draw_densities(figure.subplots(), (
+        (measured_um, MEASURED | {"linewidth": 1.2}),
+        (residual_um, {"color": BLUE, "linewidth": 0.9, "label": "residual"})),
+        sample_period_s, noise_um)
     return pictured(name, figure, "Density of the residual, and of the measured displacement; "
                     f"dotted, white noise as large as {source}.", closer=True)

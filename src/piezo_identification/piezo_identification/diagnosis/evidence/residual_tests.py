@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import prev_fast_len
-from scipy.signal import correlate, welch
+from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.analysis.gain_over_frequency import spectrum
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
@@ -30,10 +30,6 @@ class ResidualTestSettings:
     """Largest shift of a residual in samples; slower errors show in the dependences."""
     bins: int = 24
     """Number of bins, with equally many samples, for the mean of a residual."""
-    segments: int = 8
-    """Number of segments of a recording whose spectra are averaged."""
-    shortest_segment: int = 256
-    """Smallest number of samples of a segment."""
     whitening_order: int = 6
     """Number of earlier samples used to predict an input to make it white."""
 
@@ -101,19 +97,6 @@ def _correlation(later: FloatArray, earlier: FloatArray, lags: NDArray[np.intp])
     if scale == 0.0:
         return np.zeros(lags.size)
     return np.array([later[lag:] @ earlier[: earlier.size - lag] for lag in lags]) / scale
-
-
-def spectrum(signal_um: FloatArray, sample_period_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies (Hz) and power spectral density (um^2/Hz) of a signal, (N,)."""
-    return welch(signal_um, 1.0 / sample_period_s, nperseg=segment_of(signal_um.size),
-                 detrend="linear")
-
-
-def segment_of(samples: int) -> int:
-    """Return the number of samples of each segment for averaging spectra."""
-    # A length with large prime factors takes several times as long.
-    longest = prev_fast_len(max(1, samples // SETTINGS.segments), real=True)
-    return int(min(samples, max(SETTINGS.shortest_segment, longest)))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,6 @@ from piezo_common.picture_style import (
     AFTER,
     BEFORE,
     BLACK,
-    LIMIT,
     MOST_POINTS,
     WIDE_IN,
     label,
@@ -20,16 +19,14 @@ from piezo_common.picture_style import (
     outline,
     plain_numbers,
 )
-from piezo_identification.analysis.gain_over_frequency import gain_of
+from piezo_identification.analysis.gain_over_frequency import gain_of, segment_of, spectrum
 from piezo_identification.diagnosis.evidence.residual_tests import (
     dependences,
     input_correlation,
-    segment_of,
-    spectrum,
     whiteness,
 )
 from piezo_identification.fitting import noise_estimate
-from piezo_identification.report.signal_pictures import draw_noise, smoothed
+from piezo_identification.report.signal_pictures import draw_densities, draw_noise
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 
 if TYPE_CHECKING:
@@ -37,9 +34,6 @@ if TYPE_CHECKING:
 
 MODEL = {"color": BLACK, "linewidth": 0.8}
 CLOSE_SAMPLES = 800
-LOWEST_SHOWN = 0.1
-"""Lower limit of spectra, relative to the noise."""
-
 MOST_PERCENT = 1000.0
 """Upper limit of the plotted errors."""
 
@@ -123,18 +117,10 @@ def _closest_look(residuals: Residuals) -> slice:
 def draw_spectra(residuals: Residuals) -> Figure:
     """Draw spectra of both residuals, of the model's displacement, and of white noise."""
     figure = new_figure(4.5, WIDE_IN)
-    axes = figure.subplots()
-    period_s = residuals.part.sample_period_s
-    for signal, style in zip((residuals.simulated_um, *residuals.both_um),
-                             (MODEL | {"label": "model"}, BEFORE, AFTER), strict=True):
-        frequency_hz, density = spectrum(signal, period_s)
-        frequency_hz, density = smoothed(frequency_hz[1:-1], density[1:-1])
-        axes.loglog(frequency_hz, np.sqrt(density) * 1e3, **style)
-    noise = 1e3 * residuals.noise_um * np.sqrt(2.0 * period_s)
-    axes.axhline(noise, label="noise", **LIMIT)
-    axes.set_ylim(bottom=LOWEST_SHOWN * noise)
-    label(axes, "frequency (Hz)", "density (nm per root Hz)")
-    axes.legend(loc="lower left")
+    draw_densities(
+        figure.subplots(), zip((residuals.simulated_um, *residuals.both_um),
+                               (MODEL | {"label": "model"}, BEFORE, AFTER), strict=True),
+        residuals.part.sample_period_s, residuals.noise_um)
     return figure
 
 

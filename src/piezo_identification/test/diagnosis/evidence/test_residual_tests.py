@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from piezo_identification.analysis.gain_over_frequency import spectrum
 from piezo_identification.diagnosis.evidence import residual_tests as subject
 
 
@@ -26,7 +27,7 @@ def test_what_follows_the_input_is_found_at_its_lag(noise):
 
 
 def test_the_spectrum_integrates_to_the_power(noise):
-    frequency_hz, density = subject.spectrum(noise, 1e-3)
+    frequency_hz, density = spectrum(noise, 1e-3)
     assert np.trapezoid(density, frequency_hz) == pytest.approx(1.0, rel=0.05)
 
 
