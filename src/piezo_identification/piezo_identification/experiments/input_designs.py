@@ -114,9 +114,8 @@ def distortion_period(limits: StageLimits, swing: float, period_s: float,
         raise ValueError(f"experiment 'distortion' has {highest} lines up to its highest "
                          "frequency: make its period longer")
     wave = random_phase_multisine(excited_lines(highest, random), samples, random)
-    largest_v = 0.99 * limits.slew_limit_v_per_s / limits.sample_rate_hz
     step = np.abs(np.diff(np.append(wave, wave[:1]))).max()
-    amplitude_v = min(swing * limits.span_v, largest_v / step)
+    amplitude_v = min(swing * limits.span_v, limits.largest_step_v / step)
     return np.asarray(limits.middle_v + amplitude_v * wave)
 
 

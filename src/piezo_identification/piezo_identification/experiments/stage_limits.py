@@ -43,6 +43,11 @@ class StageLimits:
         """Return the middle of the voltage range."""
         return 0.5 * (self.voltage_min_v + self.voltage_max_v)
 
+    @property
+    def largest_step_v(self) -> float:
+        """Return the largest change between samples, a hundredth below the limit of the rate."""
+        return 0.99 * self.slew_limit_v_per_s / self.sample_rate_hz
+
     def clip(self, voltage_v: FloatArray) -> FloatArray:
         """Return the voltage clipped to the range, which removes excess from rounding."""
         return np.clip(voltage_v, self.voltage_min_v, self.voltage_max_v)

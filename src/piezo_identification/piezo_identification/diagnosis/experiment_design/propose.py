@@ -57,7 +57,7 @@ WAVEFORM, OUTCOME = "next_experiment.csv", "next_experiment.json"
 """File names of a proposal."""
 
 COMPARED = 0.3
-"""Part of the work for estimating the alternatives."""
+"""Part of the work for estimating the alternatives, to report progress."""
 
 
 @dataclass(frozen=True)
@@ -180,9 +180,8 @@ def waveform(limits: StageLimits, longest_s: float, point: Point) -> Experiment:
     wave = family.shape(time_s, rate_hz)
     if not family.fast:
         wave = _rounded(wave)
-    largest_v = 0.99 * limits.slew_limit_v_per_s * clock_s
     step = float(np.abs(np.diff(wave)).max())
-    amplitude_v = min(0.5 * point.level * limits.span_v, largest_v / max(step, 1e-12))
+    amplitude_v = min(0.5 * point.level * limits.span_v, limits.largest_step_v / max(step, 1e-12))
     return Experiment(
         f"{family.name}_{point.level:.3g}_{rate_hz:.4g}Hz",
         limits.clip(limits.middle_v + amplitude_v * wave), period_s, 1,

@@ -13,6 +13,7 @@ from piezo_identification.experiments.catalogue import (
     SWING_FRACTION,
     VALIDATION_TONES,
 )
+from piezo_identification.experiments.input_designs import HIGHEST_OF_CLOCK
 from piezo_identification.experiments.probing.findings import SENSOR_MARGIN, Findings
 from piezo_identification.experiments.stage_limits import StageLimits
 
@@ -66,9 +67,6 @@ ARC_S, TONES_S = 0.25, (1.0, 10.0)
 ABOVE_THE_MODES = 1.3
 """Highest tone over the highest frequency of the stage."""
 
-HIGHEST_TONE = 0.1
-"""Highest tone over the sample rate; above it, the held voltage is a coarse staircase."""
-
 LARGEST_PEAK = 1.5
 """Largest gain at a tone over the static gain before the tone is made smaller."""
 
@@ -111,7 +109,7 @@ def fitted_limits(findings: Findings, limits: StageLimits) -> StageLimits:
 def fitted_parameters(findings: Findings, limits: StageLimits) -> dict[str, dict[str, Any]]:
     """Choose the arguments of each experiment, by name, with limits from `fitted_limits`."""
     clock_s, settling_s = 1.0 / limits.sample_rate_hz, findings.response.settling_s
-    swing_v = min(SWING_FRACTION * limits.span_v, 0.99 * limits.slew_limit_v_per_s * clock_s)
+    swing_v = min(SWING_FRACTION * limits.span_v, limits.largest_step_v)
     return {
         "creep": _creep(findings, swing_v, clock_s),
         "dynamics": _dynamics(findings, swing_v, clock_s),
@@ -159,7 +157,7 @@ def _tones(findings: Findings, limits: StageLimits,
     """Scale the usual tones to the frequencies of the stage, and reduce them at resonances."""
     response = findings.response
     highest_hz = max([mode[0] for mode in response.modes] or [3.0 / response.settling_s])
-    top_hz = min(ABOVE_THE_MODES * highest_hz, HIGHEST_TONE * limits.sample_rate_hz)
+    top_hz = min(ABOVE_THE_MODES * highest_hz, HIGHEST_OF_CLOCK * limits.sample_rate_hz)
     stretch = top_hz / usual[-1][0]
     tones_s = float(np.clip(100.0 / (stretch * usual[0][0]), *TONES_S))
     tones = []
