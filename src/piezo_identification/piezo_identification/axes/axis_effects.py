@@ -64,12 +64,11 @@ class AxisEffect:
         """Return the steps of the derivatives, (p,)."""
         return np.array([SMALL_STEP * (model.sample_period_s if self.name == "delay" else 1.0)])
 
-    def within_bounds(self, model: CoupledModel, values: FloatArray) -> FloatArray:
-        """Return possible values: a sensor's delay cannot be negative."""
-        if self.name != "delay":
-            return values
-        latency = float(model.latency_samples[model.axes.index(self.axis)])
-        return np.maximum(values, -latency * model.sample_period_s)
+    def bounds(self, model: CoupledModel) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest values, (p,): a sensor's delay cannot be negative."""
+        latency_s = model.sample_period_s * float(
+            model.latency_samples[model.axes.index(self.axis)])
+        return np.array([-latency_s if self.name == "delay" else -np.inf]), np.array([np.inf])
 
     def overlaps(self, model: CoupledModel, values: FloatArray, away: FloatArray) -> bool:
         """Return whether the effect cannot be distinguished from an error of the model.
@@ -127,11 +126,11 @@ class ModeOfAxis(AxisEffect):
         frequency, damping = values[:2]
         return SMALL_STEP * np.array([damping * frequency, damping, *np.ones(len(self.sensors))])
 
-    def within_bounds(self, model: CoupledModel, values: FloatArray) -> FloatArray:
-        """Return possible values: a resonance below the Nyquist frequency."""
-        nyquist = np.pi / model.sample_period_s
-        return np.concatenate([[np.clip(values[0], SMALL_STEP * nyquist, nyquist),
-                                np.clip(values[1], *DAMPING_RATIOS)], values[2:]])
+    def bounds(self, model: CoupledModel) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest values, (p,): of a resonance that the samples show."""
+        nyquist, free = np.pi / model.sample_period_s, np.full(len(self.sensors), np.inf)
+        low, high = DAMPING_RATIOS
+        return (np.array([SMALL_STEP * nyquist, low, *-free]), np.array([nyquist, high, *free]))
 
     def overlaps(self, model: CoupledModel, values: FloatArray, away: FloatArray) -> bool:
         """Return whether the resonance overlaps with a mode of the model that may have moved."""

@@ -24,6 +24,7 @@ from piezo_identification.axes.diagnosed_errors import (
 )
 from piezo_identification.conditioning.row_alignment import SIGNIFICANT
 from piezo_identification.diagnosis.comparison.criteria import CRITERIA, GUESS
+from piezo_identification.diagnosis.evidence.effect_entries import AT_BOUND
 from piezo_identification.diagnosis.joint.probabilities import (
     ALTERNATIVE,
     BELIEVED,
@@ -208,6 +209,9 @@ def _shares(evidence: dict[str, float]) -> dict[str, float]:
 def _stands(model: CoupledModel, effect: AxisEffect, values: FloatArray,
             off: FloatArray) -> bool:
     """Return whether an effect clearly differs from zero and from errors of the model."""
+    # A tone from elsewhere looks like a mode without damping.
+    if np.isclose(values, effect.bounds(model), rtol=AT_BOUND, atol=0.0).any():
+        return False
     away = SIGNIFICANT * off
     differs = np.abs(values[effect.linear]) >= away[effect.linear]
     return bool(differs.any()) and not effect.overlaps(model, values, away)

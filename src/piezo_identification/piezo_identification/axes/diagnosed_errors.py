@@ -26,6 +26,7 @@ from piezo_identification.axes.predict_axes import (
     simulated_um,
 )
 from piezo_identification.axes.spectra import with_rough_deviations
+from piezo_identification.axes.whole_axes_fit import STEPS
 from piezo_identification.conditioning.sensor_noise import (
     noise_floor_um,
     repeated_period,
@@ -33,17 +34,15 @@ from piezo_identification.conditioning.sensor_noise import (
 )
 from piezo_identification.diagnosis.response.response_diagnosis import FEWEST_FREQUENCIES
 from piezo_identification.fitting.dataset import SPLIT
+from piezo_identification.fitting.levenberg_marquardt import descend
 from piezo_identification.fitting.regression import SETTINGS
 from piezo_models.axes.coupled import CoupledModel
 from piezo_models.axes.identified_axes import IdentifiedAxes
 from piezo_recorder.reading.axes import AxesRecording
 from piezo_recorder.reading.recording import RecordingError
 
-MOST_STEPS = 8
-"""Largest number of Gauss-Newton steps of a fit; only delays and modes are not linear."""
-
-LAST_STEP = 1e-3
-"""Change of the displacement, in tolerances, by the last step of a fit."""
+WORTHWHILE = 1e-3
+"""Smallest predicted decrease of half the squared errors, in tolerances, for a step of a fit."""
 
 
 class DiagnosedErrors(ABC):
@@ -137,16 +136,32 @@ class DiagnosedErrors(ABC):
     def values(self, effects: Sequence[AxisEffect], values: FloatArray,
                rows: BoolArray) -> FloatArray:
         """Return the parameters that fit some rows best, (p,), from initial values."""
-        for _ in range(MOST_STEPS if effects else 0):
-            residual, columns = self.linearised(effects, values)
-            columns = columns[rows].reshape(-1, len(values))
-            step = np.linalg.lstsq(columns, residual[rows].ravel(), rcond=1e-12)[0]
-            values = joined_values(
-                effect.within_bounds(self.model, own) for effect, own in zip(
-                    effects, by_effect(effects, values + step), strict=True))
-            if np.sqrt(np.mean((columns @ step) ** 2)) < LAST_STEP:
-                break
-        return values
+        return descend(_Misfit(self, effects, rows), values, STEPS,
+                       WORTHWHILE).vector if effects else values
+
+
+class _Misfit:
+    """Half the squared errors at some rows as a function of the values of effects.
+
+    For `low`, `high` and `longest`, (p,), see `levenberg_marquardt.Objective`.
+    """
+
+    def __init__(self, errors: DiagnosedErrors, effects: Sequence[AxisEffect],
+                 rows: BoolArray) -> None:
+        self._errors, self._effects, self._rows = errors, effects, rows
+        self.low, self.high = (joined_values(ends) for ends in zip(
+            *(effect.bounds(errors.model) for effect in effects), strict=True))
+        self.longest = np.full(self.low.size, np.inf)
+
+    def value(self, vector: FloatArray) -> float:
+        """Return the function to minimise."""
+        return 0.5 * float(np.sum(
+            self._errors.residual(self._effects, vector)[self._rows] ** 2))
+
+    def linearised(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the errors, (m,), and their derivatives, (m, p)."""
+        residual, columns = self._errors.linearised(self._effects, vector)
+        return residual[self._rows].ravel(), -columns[self._rows].reshape(-1, vector.size)
 
 
 class ErrorsInRecording(DiagnosedErrors):
