@@ -17,6 +17,9 @@ SEGMENTS, SHORTEST_SEGMENT = 8, 256
 EXCITED = 1e-4
 """Smallest power of an excited line, as a fraction of the largest power of the input."""
 
+MOST_OF_IT = (0.1, 0.9)
+"""Quantiles of the power that limit the band named for a residual."""
+
 
 def gain_of(input: FloatArray, output: FloatArray, sample_period_s: float,
             segment: int | None = None, least_power: float = EXCITED,
@@ -54,3 +57,11 @@ def segment_of(samples: int) -> int:
     # A length with large prime factors takes several times as long.
     longest = prev_fast_len(max(1, samples // SEGMENTS), real=True)
     return int(min(samples, max(SHORTEST_SEGMENT, longest)))
+
+
+def band_of_most(frequency_hz: FloatArray, power: FloatArray) -> tuple[float, float]:
+    """Return the band in Hz with most of the power at increasing frequencies, both (M,)."""
+    below = np.cumsum(power)
+    low_hz, high_hz = frequency_hz[np.searchsorted(
+        below, [share * below[-1] for share in MOST_OF_IT])]
+    return float(low_hz), float(high_hz)

@@ -8,16 +8,14 @@ from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.analysis.gain_over_frequency import spectrum
+from piezo_identification.analysis.gain_over_frequency import band_of_most, spectrum
+from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORMS
 from piezo_identification.conditioning.waveforms import turning_points
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
 
 WORTH_REPORTING = 0.05
 """Smallest share of the residual power related to a quantity for which the quantity is named."""
-
-MOST_OF_IT = 0.1, 0.9
-"""Quantiles of the power that limit the named band."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +154,7 @@ def dependences(residual_um: FloatArray, displacement_um: FloatArray, voltage_v:
 
 def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the span of the branch of each sample, and its initial voltage."""
-    points = turning_points(voltage_v, 1e-3 * np.ptp(voltage_v))
+    points = turning_points(voltage_v, WAVEFORMS.smallest_reversal * np.ptp(voltage_v))
     span, start_v = np.zeros(voltage_v.size), np.full(voltage_v.size, voltage_v[0])
     for start, end in zip(points[:-1], points[1:], strict=True):
         span[start : end + 1] = abs(voltage_v[end] - voltage_v[start])
@@ -187,9 +185,7 @@ def _sentence(regression: Regression, fit: Fit, index: int) -> str:
     residual = residual_um(regression.dataset, index, fit.effects, noise)
     residual = np.where(noise.outliers[index], 0.0, residual)[part.begin :]
     frequency_hz, density = spectrum(residual, part.sample_period_s)
-    power = np.cumsum(density[1:])
-    low, high = frequency_hz[1:][np.searchsorted(power, [share * power[-1]
-                                                         for share in MOST_OF_IT])]
+    low, high = band_of_most(frequency_hz[1:], density[1:])
     peak_hz = frequency_hz[1:][np.argmax(density[1:])]
     found = dependences(residual, part.simulate(fit.effects)[part.begin :],
                         part.voltage_v[part.begin :], part.time_s[part.begin :])

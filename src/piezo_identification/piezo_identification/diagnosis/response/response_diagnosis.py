@@ -10,6 +10,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.progress_part import Progress
+from piezo_identification.analysis.gain_over_frequency import band_of_most
 from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.diagnosis.evidence.effect_entries import (
     add_deviations,
@@ -271,9 +272,8 @@ def _diagnosis(problem: ResponseProblem, chosen: ResponseSelection,
 def describe_residual(problem: ResponseProblem, fit: WholeFit) -> str:
     """Return a sentence on the residual and its frequencies."""
     energy = np.abs(problem.weighted_error(fit)) ** 2
-    power = np.cumsum(energy) / np.sum(energy)
     frequency_hz = problem.measured.frequency_hz
-    low_hz, high_hz = frequency_hz[np.searchsorted(power, [0.1, 0.9])]
+    low_hz, high_hz = band_of_most(frequency_hz, energy)
     return (
         f"What remains is {problem.over_noise(fit):.3g} times the noise of the response, most of "
         f"it from {low_hz:.3g} to {high_hz:.3g} Hz, largest at "
