@@ -42,11 +42,10 @@ def visited_fraction(visited: NDArray[np.bool_]) -> float:
 def model_rows(model: "StageModel", uncertainties: Mapping[str, Any]) -> list[tuple[Cell, ...]]:
     """Return table rows for the ranges and the parameters of a model; see `parameter_rows`."""
     hysteresis = model.hysteresis
-    low_um, high_um = hysteresis.output_range_um
     return [
         _row("voltage range, from", hysteresis.voltage_min_v, None, "V"),
         _row("voltage range, to", hysteresis.voltage_max_v, None, "V"),
-        _row("hysteresis range", high_um - low_um, None, "um"),
+        _row("hysteresis range", hysteresis.travel_um, None, "um"),
         *parameter_rows(model, uncertainties),
     ]
 
@@ -89,7 +88,6 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     whose parameter is 0.
     """
     model = identified.model
-    low_um, high_um = model.hysteresis.output_range_um
     visited = ""
     if not model.has_hysteresis:
         visited = ", without hysteresis"
@@ -102,8 +100,8 @@ def main_results(identified: "IdentifiedModel") -> SummaryTable:
     rows = [row for row in parameter_rows(model, identified.uncertainties)
             if row[1] and not str(row[0]).startswith(CREEP_ROWS)]
     return SummaryTable(
-        f"identified: {high_um - low_um:.5g} um from {model.hysteresis.voltage_min_v:g} to "
-        f"{model.hysteresis.voltage_max_v:g} V{visited}",
+        f"identified: {model.hysteresis.travel_um:.5g} um from "
+        f"{model.hysteresis.voltage_min_v:g} to {model.hysteresis.voltage_max_v:g} V{visited}",
         HEADS, [*_creep_times(identified), *rows])
 
 
@@ -161,11 +159,10 @@ def shortfall(adequacy: Mapping[str, Mapping[str, Any]], errors: Mapping[str, An
 def text_of_model(model: "StageModel") -> str:
     """Return a one-line description of a model."""
     hysteresis = model.hysteresis
-    low_um, high_um = hysteresis.output_range_um
     modes = [f"{value / (2.0 * np.pi):.4g}" for value in model.dynamics.mode_frequencies_rad_per_s]
     parts = [
         f"{hysteresis.voltage_min_v:g} to {hysteresis.voltage_max_v:g} V",
-        f"{high_um - low_um:.4g} um",
+        f"{hysteresis.travel_um:.4g} um",
         f"{len(model.creep.poles_rad_per_s)} creep poles",
         f"modes at {', '.join(modes)} Hz" if modes else "no modes",
         *(effect.name for effect in model.effects)]

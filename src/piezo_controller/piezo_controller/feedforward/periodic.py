@@ -152,10 +152,7 @@ class FeedforwardPlanner:
         self.rest_hysteresis_um = rest.hysteresis.hysteresis_um
         self.rest_displacement_um = float(self.sampled.C[0] @ rest.linear_state)
         self.periods = max(round(duration_s / (period * sample_period_s)), 1)
-
-        low_um, high_um = self.hysteresis.output_range_um
-        travel_v = self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v
-        self.gain_um_per_v = (high_um - low_um) / travel_v
+        self.gain_um_per_v = self.hysteresis.mean_gain_um_per_v
 
     def _aligned(self, time_s: float) -> int:
         return aligned_samples(time_s, self.sample_period_s)

@@ -52,9 +52,7 @@ def gross_difference(present: StageModel, following: StageModel) -> str:
 
 def _gain_um_per_v(model: StageModel) -> float:
     """Return the mean gain of the model over its range at rest."""
-    hysteresis = model.hysteresis
-    travel_um = np.ptp(hysteresis.output_range_um) * abs(model.linear()(0.0))
-    return float(travel_um / (hysteresis.voltage_max_v - hysteresis.voltage_min_v))
+    return float(model.hysteresis.mean_gain_um_per_v * abs(model.linear()(0.0)))
 
 
 class AcceptedModels:

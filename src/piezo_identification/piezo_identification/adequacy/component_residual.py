@@ -204,8 +204,7 @@ def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidua
     measured = of_the_stage(data, model)
     modelled = model.small_signal_response(measured.frequency_hz)
     gain = best_gain(model, modelled, measured.gain)
-    low_um, high_um = model.hysteresis.output_range_um
-    travel_um = (high_um - low_um) / abs(gain)
+    travel_um = model.hysteresis.travel_um / abs(gain)
     measured_um, left_um = (
         np.concatenate([part.real, part.imag])
         for part in (travel_um * measured.gain, travel_um * (measured.gain - gain * modelled)))

@@ -59,9 +59,8 @@ def implausible_model(model: StageModel, recordings: Mapping[str, Any]) -> list[
             f"{what} is too slow for the dynamics of a piezo stage, which settle within "
             f"{slow_s:g} s: is {recordings['dynamics'].path} a recording of the dynamics, with its "
             "time in seconds?")
-    low_um, high_um = model.hysteresis.output_range_um
     low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
-    range_um, gain = high_um - low_um, (high_um - low_um) / (high_v - low_v)
+    range_um, gain = model.hysteresis.travel_um, model.hysteresis.mean_gain_um_per_v
     # A response does not contain the voltages of the stage.
     has_range = any(not isinstance(data, FrequencyResponse) for data in recordings.values())
     what = (f"a range of {range_um:.3g} um over {high_v - low_v:.4g} V" if has_range

@@ -102,10 +102,8 @@ def _of_dynamics(model: StageModel) -> list[str]:
 
 
 def _values(model: StageModel) -> dict[str, float]:
-    hysteresis, names = model.hysteresis, _of_dynamics(model)
-    low_um, high_um = hysteresis.output_range_um
-    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
-    return {"gain_um_per_v": float(gain_um_per_v)} | dict(
+    names = _of_dynamics(model)
+    return {"gain_um_per_v": model.hysteresis.mean_gain_um_per_v} | dict(
         zip(names, dynamics_vector(model.dynamics)[: len(names)].tolist(), strict=True))
 
 

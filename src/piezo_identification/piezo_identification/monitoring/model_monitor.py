@@ -169,8 +169,7 @@ class ModelMonitor:
         self._waiting_v: list[FloatArray] = []
         self._waiting_um: list[FloatArray] = []
         self._sample = 0
-        low_um, high_um = model.hysteresis.output_range_um
-        self._travel_um = float(high_um - low_um)
+        self._travel_um = model.hysteresis.travel_um
         self._begin_learning(known or KnownError())
 
     @property

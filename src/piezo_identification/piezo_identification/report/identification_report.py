@@ -75,9 +75,9 @@ def _origin(identified: IdentifiedModel, model: Path) -> Iterator[str]:
 
 def _parameters(identified: IdentifiedModel) -> Section:
     table = parameter_table(identified)
-    low_um, high_um = identified.model.hysteresis.output_range_um
     texts = ["Voltages: {:g} to {:g} V. Between them the displacement behind the hysteresis "
-             "changes by {:.4g} um.".format(*identified.voltage_range_v, high_um - low_um)]
+             "changes by {:.4g} um.".format(
+                 *identified.voltage_range_v, identified.model.hysteresis.travel_um)]
     if len(table) == 1:
         return Section("Parameters", [*texts, "No linear dynamics were identified: the model is of "
                                       "the hysteresis alone."])

@@ -37,10 +37,7 @@ class Actuator:
     @property
     def slope_um_per_v(self) -> float:
         """Return the mean slope of the hysteresis over its range."""
-        if self.hysteresis is None:
-            return 1.0
-        low_um, high_um = self.hysteresis.output_range_um
-        return (high_um - low_um) / (self.hysteresis.voltage_max_v - self.hysteresis.voltage_min_v)
+        return 1.0 if self.hysteresis is None else self.hysteresis.mean_gain_um_per_v
 
     def passed_v(self, voltage_v: FloatArray, periodic: bool = False,
                  past: str = PASTS[0]) -> FloatArray:

@@ -58,8 +58,7 @@ def _check_inverse_gain(law: FeedbackLaw) -> None:
     if law.inverse is None:
         return
     hysteresis, declared = law.inverse.hysteresis, law.plant.gains_um_per_v
-    gain_um_per_v = float(np.ptp(hysteresis.output_range_um)) / (
-        hysteresis.voltage_max_v - hysteresis.voltage_min_v)
+    gain_um_per_v = hysteresis.mean_gain_um_per_v
     lowest, highest = float(np.min(declared)), float(np.max(declared))
     if not lowest / OTHER_GAIN <= gain_um_per_v <= highest * OTHER_GAIN:
         raise FeedbackLawError(

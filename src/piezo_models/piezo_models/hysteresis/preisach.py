@@ -142,9 +142,8 @@ class PreisachModel:
                        reversible_um_per_v=factor * self.reversible_um_per_v)
 
     def __repr__(self) -> str:
-        low_um, high_um = self.output_range_um
         return (f"<PreisachModel: {self.voltage_min_v:g} to {self.voltage_max_v:g} V, "
-                f"{high_um - low_um:.4g} um, {len(self.density_um_per_v2)} cells a side>")
+                f"{self.travel_um:.4g} um, {len(self.density_um_per_v2)} cells a side>")
 
     @property
     def cell_width_v(self) -> float:
@@ -162,6 +161,17 @@ class PreisachModel:
         """Return the output in um at negative and at positive saturation."""
         span = self.everett_um(self.voltage_max_v, self.voltage_min_v)
         return self.offset_um, self.offset_um + float(span)
+
+    @property
+    def travel_um(self) -> float:
+        """Return the output at positive saturation minus that at negative saturation in um."""
+        low_um, high_um = self.output_range_um
+        return high_um - low_um
+
+    @property
+    def mean_gain_um_per_v(self) -> float:
+        """Return the mean slope over the voltage range in um/V."""
+        return self.travel_um / (self.voltage_max_v - self.voltage_min_v)
 
     @cached_property
     def _has_negative_cells(self) -> bool:
@@ -184,8 +194,8 @@ class PreisachModel:
 
     def kernel_arguments(self) -> tuple[Grid, Table, float]:
         """Return grid, table and rounding (um) for calls of the kernels."""
-        low, high = self.output_range_um
-        return self._grid, self._table, INVERSION.rounding * (abs(low) + high - low)
+        largest_um = abs(self.offset_um) + self.travel_um
+        return self._grid, self._table, INVERSION.rounding * largest_um
 
     def everett_um(self, alpha_v: ArrayLike, beta_v: ArrayLike) -> FloatArray:
         """Integrate the density over beta_v <= beta <= alpha <= alpha_v: the Everett function.

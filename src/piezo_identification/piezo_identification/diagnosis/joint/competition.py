@@ -387,11 +387,10 @@ def _fitted(problem: WholeModel, model: StageModel, delay_s: float | None) -> Wh
 def _line(model: StageModel, recordings: Sequence[Recording]) -> PreisachModel:
     """Return a line over the voltages of the recordings, with the gain of a model."""
     low_v, high_v = model.hysteresis.voltage_min_v, model.hysteresis.voltage_max_v
-    low_um, high_um = model.hysteresis.output_range_um
-    gain_um_per_v = (high_um - low_um) / (high_v - low_v)
     low_v = min(low_v, *(float(np.min(each.voltage_v)) for each in recordings))
     high_v = max(high_v, *(float(np.max(each.voltage_v)) for each in recordings))
-    return PreisachModel.line(low_v, high_v, gain_um_per_v, low_um)
+    return PreisachModel.line(low_v, high_v, model.hysteresis.mean_gain_um_per_v,
+                              model.hysteresis.offset_um)
 
 
 def _residual_rms_um(fit: WholeFit, recordings: slice = slice(None)) -> float:
