@@ -9,6 +9,7 @@ from itertools import permutations
 import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
+from piezo_identification.conditioning.settling import RINGING
 from piezo_models.axes.coupled import NEAR, CoupledModel
 
 PARAMETERS = {"gain": "relative_change", "squareness": "angle_rad",
@@ -19,7 +20,7 @@ SMALL_STEP = 1e-3
 """Step of the derivatives, for a delay in sample periods and for a mode relative to its frequency
 and damping. All other parameters are linear."""
 
-DAMPING_RATIOS = (1e-4, 0.5)
+DAMPING_RATIOS = (1e-4, RINGING)
 """Damping ratios of a mode: air alone damps more than the least, and beyond the largest one there
 is no resonance."""
 

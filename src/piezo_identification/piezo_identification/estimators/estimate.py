@@ -210,9 +210,14 @@ def finest_power(signal: FloatArray) -> float:
 
 def independent_rows(residual: FloatArray) -> float:
     """Return the number of independent errors in a correlated residual of shape (N,)."""
+    return residual.size * independent_share(residual)
+
+
+def independent_share(residual: FloatArray) -> float:
+    """Return the share of independent errors in a correlated residual of shape (N,)."""
     power = float(residual @ residual) or 1.0
     alike = float(np.clip(residual[1:] @ residual[:-1] / power, 0.0, MOST_ALIKE))
-    return residual.size * (1.0 - alike) / (1.0 + alike)
+    return (1.0 - alike) / (1.0 + alike)
 
 
 def parameter_covariance(

@@ -25,6 +25,7 @@ from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.fitting.dataset import Dataset
+from piezo_identification.fitting.evidence import BLOCKS
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, fitted_values, with_fitted_values
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -33,8 +34,6 @@ DRAWS = 32
 """Number of drawn errors of the model: their spread is then known to about an eighth."""
 SMALL = 0.01
 """Relative change of the density, to which the response is linear; the value is arbitrary."""
-BLOCK = 10
-"""Block length in rows: averaging reduces white noise, but not errors of the model."""
 STEP = float(np.finfo(float).eps ** (1.0 / 3.0))
 """Relative step of central differences."""
 
@@ -143,8 +142,10 @@ def noise_and_errors(residual: FloatArray, errors: FloatArray) -> tuple[float, f
 
 def block_means(columns: FloatArray) -> FloatArray:
     """Return the means of columns, (n, m), over blocks of neighbouring rows."""
-    count = len(columns) // BLOCK
-    blocks = columns[: count * BLOCK].reshape(count, BLOCK, columns.shape[1])
+    # Averaging reduces white noise, but not errors of the model.
+    length = BLOCKS[0]
+    count = len(columns) // length
+    blocks = columns[: count * length].reshape(count, length, columns.shape[1])
     return np.asarray(blocks.mean(axis=1))
 
 

@@ -51,11 +51,11 @@ from piezo_identification.estimators.creep.square_wave_creep import (
 )
 from piezo_identification.estimators.estimate import (
     DECISIVE,
-    MOST_ALIKE,
     ROWS_OF_DECAY,
     Estimate,
     OrderTrial,
     creep_of_partial_fractions,
+    independent_share,
     parameter_covariance,
 )
 from piezo_identification.estimators.hysteresis.everett_regression import (
@@ -152,7 +152,7 @@ def estimate_slow_creep(
     def gain(larger: _Problem) -> float:
         residual_then = larger.residual(found.point)
         return problem.gain_of(
-            residual, residual_then, larger.width - problem.width, larger.alike(residual_then))
+            residual, residual_then, larger.width - problem.width, larger.share(residual_then))
 
     tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
     gains = [gain(each) for each in tried]
@@ -196,7 +196,7 @@ def _free_exponentials(problem: "_Problem", pair_count: int | None) -> _Found:
                 if not problem.refusal(trial_point):
                     break
             residual_then = problem.residual(trial_point)
-            gain = problem.gain_of(residual, residual_then, 3, problem.alike(residual_then))
+            gain = problem.gain_of(residual, residual_then, 3, problem.share(residual_then))
             pairs, refusal = trial_point.size // 2, problem.refusal(trial_point)
             trials.append(problem.trial(
                 pairs, 3 * pairs, residual_then, trials[-1].information - gain, refusal))
@@ -215,7 +215,7 @@ def _or_power_law(problem: "_Problem", found: _Found) -> _Found:
     numbers = free.shape[1] + point.size // 2
     chosen = next(trial for trial in found.trials if trial.order == found.order)
     gain = problem.gain_of(problem.residual(found.point), residual, numbers - chosen.parameters,
-                           problem.alike(residual))
+                           problem.share(residual))
     trial = problem.trial(POWER_LAW, numbers, residual, chosen.information - gain,
                           problem.refusal(point))
     trials = [*found.trials, trial]
@@ -290,10 +290,10 @@ class _Problem:
                 both[:, 1:], residual, rcond=1e-9)[0]
         return residual * self._noise_raised(rates, gains)
 
-    def alike(self, residual: FloatArray) -> float:
-        """Return the correlation of neighbouring rows of a residual, from 0 to 1."""
-        data = residual - self._span @ ((1.0 - self._remaining) * (self._span.T @ residual))
-        return float(np.clip(data[1:] @ data[:-1] / (data @ data), 0.0, MOST_ALIKE))
+    def share(self, residual: FloatArray) -> float:
+        """Return the share of independent rows in a residual."""
+        return independent_share(
+            residual - self._span @ ((1.0 - self._remaining) * (self._span.T @ residual)))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:
         """Return the factor that compensates for noise reduced by the inverse of the creep.
@@ -345,12 +345,12 @@ class _Problem:
         return ""
 
     def gain_of(self, before: FloatArray, after: FloatArray, parameters: int,
-                alike: float) -> float:
-        """Decrease of the Bayesian information criterion, from the number of independent rows.
+                share: float) -> float:
+        """Decrease of the Bayesian information criterion, from the share of independent rows.
 
         Errors of the hysteresis grid are correlated in neighbouring rows, which then count less.
         """
-        rows = max(self.rows * (1.0 - alike) / (1.0 + alike), 10.0)
+        rows = max(self.rows * share, 10.0)
         return float(
             rows * np.log(np.sum(before**2) / np.sum(after**2)) - parameters * np.log(rows))
 
