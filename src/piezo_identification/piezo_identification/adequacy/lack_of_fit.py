@@ -8,6 +8,7 @@ from scipy.stats import f as f_distribution
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.adequacy.component_residual import ComponentResidual
+from piezo_identification.conditioning.means import block_means
 from piezo_identification.conditioning.sensor_noise import SETTINGS as NOISE
 from piezo_identification.conditioning.sensor_noise import noise_floor_um, without_drift
 from piezo_identification.fitting.regression import SETTINGS as FIT
@@ -98,7 +99,7 @@ def lack_of_fit(residual: ComponentResidual) -> LackOfFit:
         noise = _of_rests(residual, values_um) or _of_band(residual, values_um)
     systematic, significant = 0.0, False
     for length, noise_square in noise.mean_squares.items():
-        means = _means(sequence_um, length)
+        means = block_means(sequence_um, length)
         square = float(np.mean(means**2))
         largest = f_distribution.isf(SETTINGS.significance, means.size, noise.freedom[length])
         if square > largest * noise_square:
@@ -118,19 +119,13 @@ def _lengths(samples: int) -> list[int]:
     return lengths
 
 
-def _means(values: FloatArray, length: int) -> FloatArray:
-    """Return the means of successive samples along the last axis."""
-    count = values.shape[-1] // length
-    return values[..., : count * length].reshape(*values.shape[:-1], count, length).mean(axis=-1)
-
-
 def _of_repeats(folded_um: FloatArray) -> _Noise:
     repeats, period = folded_um.shape
     deviations_um = without_drift(folded_um - folded_um.mean(axis=0))
     squares: dict[int, float] = {}
     freedom: dict[int, float] = {}
     for length in _lengths(period):
-        means = _means(deviations_um, length)
+        means = block_means(deviations_um, length)
         free = (repeats - 1) * means.shape[-1]
         squares[length] = float(np.sum(means**2)) / free / repeats
         freedom[length] = free
@@ -154,7 +149,7 @@ def _of_rests(residual: ComponentResidual, values_um: FloatArray) -> _Noise | No
     of_rest = _lengths(rest_um.size)
     for length in _lengths(values_um.size):
         known = min(length, of_rest[-1])
-        means = _means(rest_um, known)
+        means = block_means(rest_um, known)
         squares[length] = float(np.mean(means**2)) * known / length
         freedom[length] = means.size - NOISE.drift_order - 1
     return _Noise("rests", _above_rounding(squares, values_um), freedom)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.means import means_in_bins
 from piezo_identification.conditioning.outlier_samples import good_samples
 from piezo_identification.conditioning.settling import first_settled
 from piezo_identification.conditioning.waveforms import REVERSAL, played, turning_points
@@ -238,8 +239,4 @@ def _binned(voltage_v: FloatArray, output_um: FloatArray) -> Branch:
     number = np.searchsorted(edges_v, voltage_v) if rises else np.searchsorted(
         -edges_v, -voltage_v)
     number = np.clip(number - 1, 0, SETTINGS.bins - 1)
-    counts = np.bincount(number, minlength=SETTINGS.bins)
-    seen = counts > 0
-    means = [np.bincount(number, values, minlength=SETTINGS.bins)[seen] / counts[seen]
-             for values in (voltage_v, output_um)]
-    return Branch(*means)
+    return Branch(*means_in_bins(number, voltage_v, output_um))

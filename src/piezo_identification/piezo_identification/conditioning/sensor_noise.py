@@ -145,12 +145,12 @@ def noise_from_rest_um(displacement_um: FloatArray, voltage_v: FloatArray,
     # The stage may still settle in the first half.
     starts, ends = edges[:-1] + np.diff(edges) // 2, edges[1:]
     long = ends - starts >= fewest
-    spreads = [_spread_about_line(displacement_um[start:end])
+    spreads = [spread_about_line(displacement_um[start:end])
                for start, end in zip(starts[long], ends[long], strict=True)]
     return float(np.median(spreads)) if spreads else None
 
 
-def _spread_about_line(values: FloatArray) -> float:
+def spread_about_line(values: FloatArray) -> float:
     """Return the standard deviation about a line; written for speed with thousands of rests."""
     at = np.arange(values.size) - 0.5 * (values.size - 1)
     about = values - values.mean()

@@ -30,6 +30,7 @@ from piezo_common.picture_style import (
 )
 from piezo_common.report_page import Picture, pictured
 from piezo_identification.analysis.gain_over_frequency import gain_of, spectrum
+from piezo_identification.conditioning.means import means_in_bins
 from piezo_identification.report.waveform_view import WaveformView, mean_hold
 
 NANOMETRES = 1e3
@@ -185,10 +186,7 @@ def smoothed(frequency_hz: FloatArray, power: FloatArray) -> tuple[FloatArray, F
     span = np.log(frequency_hz[-1] / frequency_hz[0])
     cell = np.floor(
         (SPECTRUM_CELLS - 1) * np.log(frequency_hz / frequency_hz[0]) / span).astype(int)
-    counts = np.bincount(cell)
-    used = counts > 0
-    means = (np.bincount(cell, values)[used] / counts[used] for values in (frequency_hz, power))
-    centres, powers = means
+    centres, powers = means_in_bins(cell, frequency_hz, power)
     return centres, powers
 
 

@@ -24,6 +24,7 @@ from scipy.linalg import orth
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.means import block_means
 from piezo_identification.fitting.dataset import Dataset
 from piezo_identification.fitting.evidence import BLOCKS
 from piezo_identification.fitting.regression import Fit, Regression
@@ -124,7 +125,8 @@ def noise_and_errors(residual: FloatArray, errors: FloatArray) -> tuple[float, f
     The residual is (n,), and the drawn errors, after projecting out effects and regressors, are
     (n, d). The size is a factor of their squares.
     """
-    means = block_means(np.column_stack([residual, errors]))
+    # Averaging reduces white noise, but not errors of the model.
+    means = block_means(np.column_stack([residual, errors]).T, BLOCKS[0]).T
     half, total = min(errors.shape[1], len(means)) // 2, float(np.mean(residual**2))
     shapes = orth(means[:, 1 : 1 + half])
     if not shapes.size:
@@ -138,15 +140,6 @@ def noise_and_errors(residual: FloatArray, errors: FloatArray) -> tuple[float, f
     over = size / deviation
     size += deviation * np.exp(norm.logpdf(over) - norm.logcdf(over))
     return max(0.0, total - size * float(np.mean(errors**2))), float(size)
-
-
-def block_means(columns: FloatArray) -> FloatArray:
-    """Return the means of columns, (n, m), over blocks of neighbouring rows."""
-    # Averaging reduces white noise, but not errors of the model.
-    length = BLOCKS[0]
-    count = len(columns) // length
-    blocks = columns[: count * length].reshape(count, length, columns.shape[1])
-    return np.asarray(blocks.mean(axis=1))
 
 
 def powers(columns: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:

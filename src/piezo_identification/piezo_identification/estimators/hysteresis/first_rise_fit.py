@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import isotonic_regression
 
 from piezo_common.arrays import BoolArray, FloatArray
+from piezo_identification.conditioning.means import means_in_bins
 from piezo_identification.conditioning.waveforms import (
     played,
     samples_per_mean,
@@ -110,10 +111,7 @@ def _rises(
 def _cell_means(points: FloatArray, edges_v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean voltage and value of the points in each cell that has any."""
     number = np.clip(np.searchsorted(edges_v, points[:, 0]) - 1, 0, edges_v.size - 2)
-    counts = np.bincount(number, minlength=edges_v.size - 1)
-    some = counts > 0
-    voltage_v, values = (np.bincount(number, column, minlength=edges_v.size - 1)[some]
-                         / counts[some] for column in points.T)
+    voltage_v, values = means_in_bins(number, *points.T)
     return voltage_v, values
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from piezo_common.arrays import FloatArray
+from piezo_identification.conditioning.sensor_noise import spread_about_line
 from piezo_identification.experiments.probing.step_response import StepResponse, step_response
 
 SENSOR_MARGIN = 0.05
@@ -98,13 +99,11 @@ class Findings:
 
 def measure_rest(displacement_um: FloatArray) -> Rest:
     """Measure level and noise of a stage that rests."""
-    time = np.arange(displacement_um.size) - 0.5 * (displacement_um.size - 1)
-    slope = float(time @ displacement_um / (time @ time))
     level_um = float(displacement_um.mean())
     least_um = 1e-6 * max(1.0, abs(level_um))
-    spread_um = float((displacement_um - level_um - slope * time).std())
+    noise_um = max(spread_about_line(displacement_um), least_um)
     # Without noise, a converter does not resolve changes below one of its steps.
-    return Rest(level_um, max(spread_um, least_um)).seen_moving(displacement_um)
+    return Rest(level_um, noise_um).seen_moving(displacement_um)
 
 
 def _smallest_change_um(displacement_um: FloatArray) -> float:
