@@ -81,6 +81,23 @@ def holding_back(topic: str, arguments: Sequence[str]) -> Iterator[None]:
     if own not in map(str, (LOOPBACK, NETWORK)):
         yield
         return
+    try:
+        folder = tempfile.TemporaryDirectory()
+    except OSError:  # Without a place for files, the writer goes as far ahead as usual.
+        yield
+        return
+    with folder as directory:
+        profile = Path(directory) / Path(own).name
+        profile.write_text(_holding_back(Path(own).read_text(), topic, arguments))
+        os.environ[PROFILES] = str(profile)
+        try:
+            yield
+        finally:
+            os.environ[PROFILES] = own
+
+
+def _holding_back(profiles: str, topic: str, arguments: Sequence[str]) -> str:
+    """Return profiles with one more, of the writer of a topic, that waits for its readers."""
     namespaces = [found[1] for each in arguments if (found := re.search(r"__ns:=(\S+)", each))]
     name = f"{namespaces[-1].rstrip('/') if namespaces else ''}/{topic}"
     nanoseconds = round(RESENT_AFTER_S * 1e9)
@@ -91,15 +108,9 @@ def holding_back(topic: str, arguments: Sequence[str]) -> Iterator[None]:
         <allocated_samples>{MOST_UNACKNOWLEDGED}</allocated_samples>
       </resourceLimitsQos></topic>
       <times><heartbeatPeriod><sec>0</sec><nanosec>{nanoseconds}</nanosec></heartbeatPeriod></times>
-    </data_writer></profiles>"""
-    with tempfile.TemporaryDirectory() as directory:
-        profile = Path(directory) / Path(own).name
-        profile.write_text(Path(own).read_text().replace("</profiles>", writer))
-        os.environ[PROFILES] = str(profile)
-        try:
-            yield
-        finally:
-            os.environ[PROFILES] = own
+    </data_writer>
+  </profiles>"""
+    return profiles.replace("</profiles>", writer)
 
 
 def deliver_in_background() -> None:
