@@ -29,14 +29,9 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
 
     What the hysteresis takes from the voltage is in proportion to its saturation, so that a
     regression gives the saturation of each shape. The square and the cube of the displacement are
-    regressors, too: a curve would otherwise distort the shape.
-
-    Parameters
-    ----------
-    line : PreisachModel
-        What takes the place of the loops, behind the Bouc-Wen hysteresis.
-    parts : sequence of SimulatedRecording
-        Recordings, each of which counts as much as the others: a few steps show no shape.
+    regressors, too: a curve would otherwise distort the shape. Behind the Bouc-Wen hysteresis,
+    `line` takes the place of the loops. Each recording counts as much as the others: a few steps
+    show no shape.
     """
     ahead = tuple(effect for effect in model.effects if effect.place == "voltage")
     behind = tuple(effect for effect in model.effects if effect.place != "voltage")

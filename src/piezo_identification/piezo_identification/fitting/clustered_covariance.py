@@ -15,16 +15,12 @@ def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
     """Return the covariance of parameters estimated by least squares, (m, m).
 
     Errors in the same cluster may be correlated in any way; errors in different clusters are
-    assumed independent. The variances are also computed with ten neighbouring clusters merged
-    into one, and the larger variance is used.
+    assumed independent. The variances are also computed with ten neighbouring clusters merged into
+    one, and the larger variance is used.
 
-    Parameters
-    ----------
-    jacobian : (n + p, m) array
-        Derivatives of the residual; the rows of a prior come last.
-    residual : (n + p,) array
-    cluster : (n,) array of int
-        Cluster of each row that does not belong to the prior; the rows of a cluster are adjacent.
+    The Jacobian, (n + p, m), holds the derivatives of the residual, (n + p,); the rows of a prior
+    come last. `cluster`, (n,), is the cluster of each row that does not belong to the prior, and
+    the rows of a cluster are adjacent.
     """
     widths = np.linalg.norm(jacobian, axis=0)
     widths[widths == 0.0] = 1.0

@@ -60,7 +60,7 @@ class Dataset:
     """Nuisance regressors of each recording, followed by the parameter sensitivities, in um, (r,
     m)."""
     nuisance_count: int
-    """Number of nuisance regressors."""
+
     extent: Extent
     """Ranges that the recordings cover."""
 
@@ -95,20 +95,10 @@ def simulate_recordings(model: StageModel, recordings: Sequence[Recording],
                         sensitivities: Sensitivities = parameter_sensitivities) -> Dataset:
     """Simulate recordings, and split their samples into rows to fit and a validation set.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    past_v : tuple of float, optional
-        Voltages that the hysteresis went through before each recording; by default those of
-        `starting_past_v`.
-    sensitivities : callable
-        Returns the change of the displacement with each free parameter.
-
-    Raises
-    ------
-    ValueError
-        If a recording cannot be used.
+    The recordings have the sign of the model and marked outliers. The hysteresis went through the
+    voltages `past_v` before each of them, by default those of `starting_past_v`. `sensitivities`
+    returns the change of the displacement with each free parameter. Raise ValueError if a recording
+    cannot be used.
     """
     simulated = side_by_side(
         lambda recording: simulated_recording(model, recording, past_v), recordings)
@@ -120,17 +110,10 @@ def dataset_of(simulated: Sequence[SimulatedRecording], recordings: Sequence[Rec
                undivided: int = 0) -> Dataset:
     """Split the samples of simulated recordings into rows to fit and a validation set.
 
-    Parameters
-    ----------
-    simulated : sequence of SimulatedRecording
-        At least one recording; all simulated with the same model.
-    recordings : sequence of Recording
-        The measured recordings, in the same order.
-    sensitivities : callable
-        As in `simulate_recordings`.
-    undivided : int
-        Number of recordings, counted from the first, that use `SplitSettings.most_rows` each. The
-        others share that number. By default, all share it.
+    There is at least one recording, and all are simulated with the same model. The measured
+    recordings are in the same order, and `sensitivities` is as in `simulate_recordings`. The first
+    `undivided` recordings use `SplitSettings.most_rows` each, and the others share that number; by
+    default, all share it.
     """
     simulated, model = tuple(simulated), simulated[0].model
     rows, stretch, for_estimation = split_rows(
@@ -164,20 +147,9 @@ def split_rows(voltages_v: Sequence[FloatArray], begins: Sequence[int], undivide
                ) -> tuple[tuple[NDArray[np.intp], ...], NDArray[np.intp], BoolArray]:
     """Return the rows of each recording, the stretch of each row, and whether it may be fitted.
 
-    Parameters
-    ----------
-    voltages_v : sequence of (N,) or (N, axes) array
-        Voltages of each recording in V.
-    begins : sequence of int
-        First sample of each recording that is used.
-    undivided : int
-        See `dataset_of`.
-
-    Returns
-    -------
-    rows : tuple of (n,) array of int
-    stretch : (r,) array of int
-    for_estimation : (r,) array of bool
+    The voltages of each recording in V are (N,) or (N, axes), and `begins` holds the first sample
+    of each that is used. For `undivided` see `dataset_of`. The rows of a recording are (n,), and
+    the other two results are (r,) for the rows of all recordings.
     """
     rows, numbers, fitted = [], [], []
     for index, (whole_v, begin) in enumerate(zip(voltages_v, begins, strict=True)):

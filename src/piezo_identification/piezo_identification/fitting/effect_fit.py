@@ -35,16 +35,10 @@ SETTINGS = FitSettings()
 
 def fit_effects(regression: Regression, effects: Sequence[Effect],
                 fixed: Sequence[Effect] = (), quick: bool = False) -> Fit:
-    """Fit effects by nonlinear least squares on the estimation rows.
+    """Fit effects by nonlinear least squares on the estimation rows, from initial guesses.
 
-    Parameters
-    ----------
-    effects : sequence of piezo_models.effects.effect.Effect
-        Initial guesses.
-    fixed : sequence of piezo_models.effects.effect.Effect
-        Effects that are not changed; they act before the others.
-    quick : bool
-        Use few evaluations of quick simulations; see `SimulatedRecording.simulate`.
+    The fixed effects are not changed; they act before the others. A quick fit uses few evaluations
+    of quick simulations; see `SimulatedRecording.simulate`.
     """
     guesses = [fitted_values(effect, regression.dataset.extent) for effect in effects]
     sizes = np.cumsum([0, *(values.size for values, _, _ in guesses)])
@@ -77,15 +71,8 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
                  evidence: Sequence[Evidence]) -> Fit | None:
     """Fit one more effect in addition to those found, starting from its best guesses.
 
-    Parameters
-    ----------
-    effects : tuple of piezo_models.effects.effect.Effect
-        Effects found so far, held fixed.
-
-    Returns
-    -------
-    Fit or None
-        The best guess without refinement if no guess reduces the error; None if there is none.
+    The effects found so far are held fixed. The result is the best guess without refinement if no
+    guess reduces the error, and None if there is no guess.
     """
     extent = regression.dataset.extent
     guesses = [_within_bounds(guess, extent) for shown in evidence for guess in kind.starts(shown)]

@@ -43,16 +43,10 @@ def log_evidence(mean_squares: ArrayLike, numbers: int,
     """Return the logarithm of the evidence of a model, up to a constant common to all models.
 
     It is the log-likelihood minus half the logarithm of the number of errors for each estimated
-    parameter (Schwarz 1978).
-
-    Parameters
-    ----------
-    mean_squares : float or ndarray, shape (R,)
-        Mean square error of the model on each recording, plus the squared accuracy of a good model.
-    numbers : int
-        Number of estimated parameters.
-    independent : float or ndarray, shape (R,)
-        Number of independent errors counted in each recording.
+    parameter (Schwarz 1978). `mean_squares` is the mean square error of the model on each
+    recording, plus the squared accuracy of a good model, and `independent` the number of
+    independent errors counted in each. Both are one number or (R,). `numbers` is the number of
+    estimated parameters.
     """
     squares = np.atleast_1d(mean_squares)
     counts = np.broadcast_to(independent, squares.shape)

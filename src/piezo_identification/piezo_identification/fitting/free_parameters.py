@@ -80,23 +80,15 @@ def free_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp],
                        of_pieces_um: FloatArray | None = None) -> FloatArray:
     """Return the change of the displacement when each free parameter changes by its prior width.
 
-    Parameters
-    ----------
-    part : SimulatedRecording
-        Recording simulated with a model that includes its effects: the changes pass through them.
-    about : StageModel, optional
-        Model from which `changed_model` derived the model of `part`; by default that model itself.
-    pieces_um : iterable of (N,) array, optional
-        Results of `piece_outputs_um`. A lag ahead of the hysteresis is applied behind the pieces,
-        too, where its effect on them is nearly the same. They are not used if another effect acts
-        on the voltage.
-    of_pieces_um : (n, pieces) array, optional
-        Change of the displacement with each piece, if it is known from a similar model.
+    The result is (n, parameters), with columns in the order of the changes that `changed_model`
+    takes. The recording is simulated with a model that includes its effects: the changes pass
+    through them. `about` is the model from which `changed_model` derived the model of `part`, by
+    default that model itself.
 
-    Returns
-    -------
-    (n, parameters) array
-        Columns in the order of the changes that `changed_model` takes.
+    `pieces_um`, (N,) each, are results of `piece_outputs_um`. A lag ahead of the hysteresis is
+    applied behind the pieces, too, where its effect on them is nearly the same. They are not used
+    if another effect acts on the voltage. `of_pieces_um`, (n, pieces), is the change of the
+    displacement with each piece, if it is known from a similar model.
     """
     model = part.model
     given = model if about is None else about
@@ -174,12 +166,7 @@ def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes:
     """Return the change of the initial creep when each free parameter changes by its prior width.
 
     The initial creep decays at the rates of the creep poles. The n columns are those of creep and
-    dynamics.
-
-    Parameters
-    ----------
-    sizes : (1 + creep pairs or more,) array
-        Coefficients of the nuisance regressors.
+    dynamics. `sizes`, (1 + creep pairs or more,), are the coefficients of the nuisance regressors.
     """
     poles = np.array(part.model.creep.poles_rad_per_s)
     decays = part.nuisance_regressors(rows)[:, 1 : 1 + poles.size]
@@ -190,11 +177,8 @@ def decay_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp], sizes:
 def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     """Return a model with its free parameters changed.
 
-    Parameters
-    ----------
-    changes : (n,) array
-        Changes in prior widths, in the order of `free_sensitivities`; empty for no change. Those
-        of the hysteresis, which come last, may be left out.
+    The changes, (n,), are in prior widths and in the order of `free_sensitivities`; they are empty
+    for no change. Those of the hysteresis, which come last, may be left out.
     """
     if not changes.size:
         return model
@@ -231,17 +215,9 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
 def changes_between(model: StageModel, changed: StageModel) -> FloatArray:
     """Return the changes that turn the creep and dynamics of one model into those of another.
 
-    They are not finite where no factor exists, as between sizes of opposite sign.
-
-    Parameters
-    ----------
-    model, changed : StageModel
-        Models of the same structure.
-
-    Returns
-    -------
-    (n,) array
-        Changes in prior widths: the first of those that `changed_model` takes.
+    The two models have the same structure. The changes, (n,), are in prior widths and are the first
+    of those that `changed_model` takes. They are not finite where no factor exists, as between
+    sizes of opposite sign.
     """
     def values(each: StageModel) -> FloatArray:
         poles, zeros = (np.array(values) for values in (
@@ -277,10 +253,8 @@ def physical_count(model: StageModel) -> int:
 def physical_deviations(model: StageModel, covariance: FloatArray) -> dict[str, dict[str, Any]]:
     """Return the standard deviations of creep and dynamics, by component and field name.
 
-    Parameters
-    ----------
-    covariance : (n, n) array
-        Covariance of the changes of creep and dynamics, in widths; unknown variances are infinite.
+    The covariance, (n, n), is that of the changes of creep and dynamics, in widths; unknown
+    variances are infinite.
     """
     physical = _physical(model)
     free = physical > 0.0

@@ -94,12 +94,8 @@ def simulated_by(dataset: Dataset, model: StageModel, new_count: int,
                  later: frozenset[str]) -> Dataset:
     """Simulate another model on the same rows.
 
-    Parameters
-    ----------
-    new_count : int
-        Number of recordings, counted from the first, that contain the effects in `later`.
-    later : frozenset of str
-        Names of effects that appeared after the other recordings.
+    The first `new_count` recordings contain the effects named in `later`, which appeared after the
+    other recordings.
     """
     simulated = side_by_side(lambda part: part.with_model(model), dataset.simulated)
     return replace(dataset, model=model, simulated=tuple(
@@ -123,11 +119,7 @@ def _with_values(effect: Effect, values: tuple[float, ...]) -> Effect:
 class _Nuisance:
     """Regressors to be projected out, and their factors, with which many signals are projected.
 
-    Parameters
-    ----------
-    regressors : (n, k) array
-    good : (n,) array of bool
-        Rows that determine the coefficients.
+    The regressors are (n, k). Only the rows marked in `good`, (n,), determine the coefficients.
     """
 
     def __init__(self, regressors: FloatArray, good: BoolArray) -> None:
@@ -162,6 +154,8 @@ class _Point:
 class JointErrors:
     """Errors of a model with effects as a function of changes of their parameters.
 
+    It is a `levenberg_marquardt.Objective`.
+
     Parameters
     ----------
     dataset : Dataset
@@ -191,11 +185,6 @@ class JointErrors:
         Frequency responses that the model is fitted to, besides the recordings.
     are_all_fitted : bool
         Fit the held-out frequencies of the responses, too.
-
-    Attributes
-    ----------
-    low, high, longest : (n,) array
-        See `levenberg_marquardt.Objective`.
     """
 
     def __init__(self, dataset: Dataset, fitted: BoolArray, good: BoolArray, new_count: int,
@@ -305,18 +294,11 @@ class JointErrors:
             jacobian, residual, self._stretch())[self.count :, self.count :]
 
     def covariance_of_all(self, vector: FloatArray, physical: int) -> FloatArray:
-        """Return the covariance of all unknowns, without the prior of the first ones.
+        """Return the covariance, (n, n), of all unknowns, without the prior of the first ones.
 
-        Parameters
-        ----------
-        physical : int
-            Number of unknowns whose prior is dropped: creep and dynamics. Effects have no prior.
-
-        Returns
-        -------
-        (n, n) array
-            Errors may be correlated within a stretch of a recording. Unknowns that the recordings
-            do not determine have infinite variance.
+        The first `physical` unknowns, creep and dynamics, are those whose prior is dropped; effects
+        have no prior. Errors may be correlated within a stretch of a recording. Unknowns that the
+        recordings do not determine have infinite variance.
         """
         residual, jacobian = self._weighted(vector, self._columns_at(vector))
         stretch = self._stretch()

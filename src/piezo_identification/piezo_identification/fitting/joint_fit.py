@@ -107,19 +107,11 @@ class JointFit:
 class JointProblem:
     """Recordings, a model from which fits start, and its derivatives.
 
-    Parameters
-    ----------
-    model : StageModel
-        Initial model; its effects are fitted together with the others.
-    new : sequence of Recording
-        New recordings with the sign of the model and with marked outliers.
-    old : sequence of Recording
-        Recordings from which the model was identified.
-    undivided : int
-        Number of new recordings that use as many rows each as all others together.
-    simulated : sequence of SimulatedRecording
-        The first of the new recordings if already simulated. Their past, which takes long to find,
-        is then reused.
+    The effects of the initial model are fitted together with the others. The new recordings have
+    the sign of the model and marked outliers; the old ones are those from which the model was
+    identified. The first `undivided` of the new recordings use as many rows each as all others
+    together. `simulated` holds the first of the new recordings if they are already simulated. Their
+    past, which takes long to find, is then reused.
     """
 
     steps = SETTINGS.steps
@@ -174,17 +166,12 @@ class JointProblem:
             begun: JointFit | None = None, held: Sequence[Effect] = ()) -> JointFit:
         """Fit the model's parameters and those of effects.
 
-        Parameters
-        ----------
-        effects : sequence of piezo_models.effects.effect.Effect
-            Initial guesses of all effects, including those of the model.
-        later : iterable of str
-            Names of the effects that appeared after the identification.
-        begun : JointFit, optional
-            Fit whose model and problem are the starting point; by default this problem.
-        held : sequence of piezo_models.effects.effect.Effect
-            Further effects, which are not fitted and act last. The fit then takes one step with the
-            derivatives of `begun`, enough to determine which of the effects are promising.
+        `effects` are initial guesses of all effects, including those of the model, and `later`
+        names those that appeared after the identification. The fit starts from the model and
+        problem of `begun`, by default from this problem.
+
+        The effects in `held` are not fitted and act last. If there are any, the fit takes one step
+        with the derivatives of `begun`, enough to determine which of them are promising.
         """
         goes_on_in = None if begun is None else begun.problem
         if goes_on_in is not None and goes_on_in is not self:

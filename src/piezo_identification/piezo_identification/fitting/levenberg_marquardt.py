@@ -17,19 +17,13 @@ damping that grows by the factor each time. A step with gain reduces the damping
 
 
 class Objective(Protocol):
-    """A function to minimise within bounds.
-
-    Attributes
-    ----------
-    low, high : (n,) array
-        Bounds of the unknowns.
-    longest : (n,) array
-        Largest change of each unknown in one step.
-    """
+    """A function to minimise within bounds."""
 
     low: FloatArray
     high: FloatArray
+    """Bounds of the unknowns, (n,)."""
     longest: FloatArray
+    """Largest change of each unknown in one step, (n,)."""
 
     def value(self, vector: FloatArray) -> float:
         """Return the value of the function."""
@@ -59,12 +53,8 @@ class Descent:
 def descend(objective: Objective, vector: FloatArray, steps: int, worthwhile: float) -> Descent:
     """Take steps until the predicted gain is too small, the steps are used up, or time is up.
 
-    Parameters
-    ----------
-    vector : (n,) array
-        Initial unknowns, within the bounds.
-    worthwhile : float
-        Smallest predicted gain for which a step is taken.
+    The initial unknowns, (n,), are within the bounds. `worthwhile` is the smallest predicted gain
+    for which a step is taken.
     """
     value, gain, damping = objective.value(vector), np.inf, 0.0
     for _ in range(steps):

@@ -70,11 +70,7 @@ def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> 
     """Return the prior standard deviations of fitted parameters of effects, (p,).
 
     They are a decade, or those of a uniform distribution between the bounds if that is narrower.
-
-    Parameters
-    ----------
-    extent : Extent, optional
-        Ranges of the recordings, which bound the parameters.
+    The ranges of the recordings, if given, bound the parameters, too.
     """
     widths = [np.zeros(0)]
     for effect in effects:
@@ -98,20 +94,10 @@ def occam_penalty(covariance: FloatArray | None, widths: FloatArray, rows: float
     (Schwarz 1978), because the choice of parameters and bounds says nothing about how likely an
     effect is.
 
-    Parameters
-    ----------
-    covariance : (p, p) array or None
-        Covariance of the parameters from the recordings; if None, each has the largest cost.
-    widths : (p,) array
-        Prior standard deviations of the parameters.
-    rows, counted : float
-        Number of rows of the recordings, and number of errors that the evidence counts. The
-        covariance is increased by their ratio.
-
-    Returns
-    -------
-    float
-        A parameter that the recordings do not determine contributes nothing.
+    The covariance of the parameters from the recordings is (p, p), and their prior standard
+    deviations are (p,). If the covariance is None, each parameter has the largest cost. Otherwise,
+    it is increased by the ratio of the number of rows of the recordings to the number of errors
+    that the evidence counts. A parameter that the recordings do not determine contributes nothing.
     """
     most = 0.5 * float(np.log(max(counted, 2.0)))
     if covariance is None or covariance.shape != (widths.size, widths.size):

@@ -32,11 +32,8 @@ def estimate_noise(dataset: Dataset, effects: Sequence[Effect] = (),
                    before: NoiseEstimate | None = None) -> NoiseEstimate:
     """Estimate noise and outliers from the residual of the model with some effects.
 
-    Parameters
-    ----------
-    before : NoiseEstimate, optional
-        Earlier estimate, whose outliers are excluded from the fit of the residual; by default only
-        samples that were marked as outliers are excluded.
+    The outliers of an earlier estimate are excluded from the fit of the residual. Without one, only
+    samples that were marked as outliers are excluded.
     """
     residuals = [residual_um(dataset, index, effects, before)
                  for index in range(len(dataset.simulated))]
@@ -59,10 +56,8 @@ def residual_um(dataset: Dataset, index: int, effects: Sequence[Effect] = (),
                 noise: NoiseEstimate | None = None) -> FloatArray:
     """Return measured minus simulated displacement without its nuisance part, (N,).
 
-    Parameters
-    ----------
-    noise : NoiseEstimate, optional
-        Estimate whose outliers are not fitted; by default only marked outliers are excluded.
+    The outliers of the noise estimate are not fitted. Without one, only marked outliers are
+    excluded.
     """
     return _without_nuisance(dataset.simulated[index], effects, _outliers(dataset, index, noise))
 

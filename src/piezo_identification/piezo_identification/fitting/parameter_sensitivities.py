@@ -49,10 +49,7 @@ MIDDLE_KNOTS, SPAN_KNOTS = 4, 8
 def parameter_sensitivities(part: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
     """Return the change of the displacement when each parameter changes by its prior width.
 
-    Returns
-    -------
-    (n, parameters) array
-        Columns in the order of the changes that `perturbed` takes.
+    The result is (n, parameters), with columns in the order of the changes that `perturbed` takes.
     """
     model = part.model
     linear = model.linear()
@@ -88,10 +85,7 @@ def responses_at(part: SimulatedRecording, system: control.StateSpace,
 def perturbed(model: StageModel, changes: FloatArray) -> StageModel:
     """Return the model with its parameters multiplied by factors.
 
-    Parameters
-    ----------
-    changes : (n,) array
-        Changes in prior widths, in the order of `parameter_sensitivities`.
+    The changes, (n,), are in prior widths and in the order of `parameter_sensitivities`.
     """
     changes = _width_map(model) @ changes
     used = 0
@@ -184,14 +178,9 @@ def sensitivity_systems(
 ) -> list[control.StateSpace]:
     """Return systems from the displacement to its derivatives by the logarithms of parameters.
 
-    Each is the derivative of a factor of the transfer function by one of its parameters, divided
-    by the factor.
-
-    Returns
-    -------
-    list of control.StateSpace
-        Systems for the creep poles, creep zeros, time constant unless it is 0, mode frequencies,
-        damping ratios, and those of the antiresonances.
+    Each is the derivative of a factor of the transfer function by one of its parameters, divided by
+    the factor. The systems are in the order of creep poles, creep zeros, time constant unless it is
+    0, mode frequencies, damping ratios, and those of the antiresonances.
     """
     def first_order(rate: float, gain: float, direct: float = 0.0) -> control.StateSpace:
         return control.ss([[-rate]], [[rate]], [[gain]], [[direct]])
@@ -227,17 +216,8 @@ def factor_surfaces(
     """Return surfaces over the cells of a density that sum to one.
 
     They are bilinear between knots in the mean of the thresholds and in the square root of their
-    span: a density changes fastest near the diagonal, where the knots are closest.
-
-    Parameters
-    ----------
-    size : int
-        Number of cells along each threshold.
-
-    Returns
-    -------
-    ndarray, shape (surfaces, size, size)
-        Lower triangular.
+    span: a density changes fastest near the diagonal, where the knots are closest. With `size`
+    cells along each threshold, the surfaces are (surfaces, size, size), and lower triangular.
     """
     alpha, beta = np.indices((size, size))
     # A cell on the diagonal is a triangle, whose centroid is off the diagonal.

@@ -115,12 +115,8 @@ class Regression:
             quick: Sequence[Effect] = ()) -> Fit:
         """Fit the regressors with the effects fixed.
 
-        Parameters
-        ----------
-        covariance : (p, p) array, optional
-            Covariance of the fitted values of the effects, if they were fitted.
-        quick : sequence of piezo_models.effects.effect.Effect
-            See `SimulatedRecording.simulate`.
+        The covariance, (p, p), is that of the fitted values of the effects, if they were fitted.
+        For `quick` see `SimulatedRecording.simulate`.
         """
         difference, (q, r) = self.difference(effects, quick), self._factors
         coefficients = np.linalg.lstsq(r, q.T @ self._padded(difference), rcond=1e-12)[0]
@@ -165,10 +161,7 @@ def weighted_regression(dataset: Dataset, noise: NoiseEstimate,
                         effects: Sequence[Effect] = ()) -> Regression:
     """Weigh the rows, with a prior that matches the residual with some effects.
 
-    Parameters
-    ----------
-    effects : sequence of piezo_models.effects.effect.Effect
-        The more they explain, the less the model's parameters may change.
+    The more the effects explain, the less the model's parameters may change.
     """
     tolerance_um = dataset.of_each(np.hypot(noise.noise_um, accuracies_um(dataset)))
     estimation = dataset.for_estimation & ~dataset.at_rows(noise.outliers)

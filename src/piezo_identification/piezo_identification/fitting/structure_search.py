@@ -116,30 +116,19 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           ) -> tuple[list[Begun], list[Tried]]:
     """Fit the whole model from several starts.
 
-    Parameters
-    ----------
-    given : StageModel
-        Model identified step by step.
-    delay_s : float or None
-        Delay of that model; negative if its rows are read later than stated in the problem.
-    report : callable
-        Called with a description and the fraction done before each fit.
-    is_asked_for : callable
-        Returns whether a model may be tried.
-    with_new_loops : callable, optional
-        Returns the problem with loops estimated together with a structure. The loops of the given
-        model compensate for the errors of its creep and dynamics, and a fit with other dynamics
-        takes long to correct them. One estimate is used for all starts except the given model,
-        because the starts differ little at the speed of the loops.
+    `given` is the model identified step by step. `delay_s` is its delay, negative if its rows are
+    read later than stated in the problem. `report` is called with a description and the fraction
+    done before each fit, and `is_asked_for` returns whether a model may be tried.
 
-    Returns
-    -------
-    promising : list of (WholeModel, WholeFit)
-        The best fit of all, including the given model, and the best one with another kind of
-        amplifier if it is not far behind, each with its problem. Which one will end up better is
-        not known at this stage. If they are alike, the amplifier of second order comes first.
-    tried : list of (str, WholeFit)
-        All fits in the order they were made.
+    `with_new_loops` returns the problem with loops estimated together with a structure. The loops
+    of the given model compensate for the errors of its creep and dynamics, and a fit with other
+    dynamics takes long to correct them. One estimate is used for all starts except the given model,
+    because the starts differ little at the speed of the loops.
+
+    The first result holds the promising fits, each with its problem: the best fit of all, including
+    the given model, and the best one with another kind of amplifier if it is not far behind. Which
+    one will end up better is not known at this stage. If they are alike, the amplifier of second
+    order comes first. The second result holds all fits in the order they were made.
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
@@ -197,19 +186,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
     line, or of a curve if that is not enough. If it is promising, the pasts of the recordings are
     sought with the fitted equation until that no longer helps.
 
-    Parameters
-    ----------
-    best : WholeFit
-        Fit of this problem.
-
-    Returns
-    -------
-    problem : WholeModel
-        The one of the returned fit.
-    best : WholeFit
-        Best fit with the equation, even if the given one is better.
-    tried : list of (str, WholeFit)
-        All fits in the order they were made.
+    `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
+    fit, even if the given one is better, and all fits in the order they were made.
     """
     tried = list[Tried]()
 
@@ -252,17 +230,8 @@ def searched(problem: WholeModel, best: WholeFit,
              ) -> tuple[WholeFit, list[Tried]]:
     """Change the structure of a fitted model as long as the evidence increases.
 
-    Parameters
-    ----------
-    best : WholeFit
-        Fit of this problem.
-
-    Returns
-    -------
-    best : WholeFit
-        Fit with the most evidence.
-    tried : list of (str, WholeFit)
-        All fits in the order they were made.
+    `best` is a fit of the given problem. Return the fit with the most evidence, and all fits in the
+    order they were made.
     """
     refuted, tried = set[str](), list[Tried]()
     screened, is_simpler = list[Tried](), False
@@ -557,10 +526,7 @@ def is_at_noise(problem: WholeModel, fit: WholeFit,
                 above: float = SETTINGS.above_noise) -> bool:
     """Return whether the residual of each recording is explained by noise and model accuracy.
 
-    Parameters
-    ----------
-    above : float
-        Residual, relative to the noise, that is not explained.
+    A residual that is more than `above` times the noise is not explained.
     """
     return bool(np.all(problem.over_noise(fit) < above))
 

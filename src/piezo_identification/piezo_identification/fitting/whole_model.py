@@ -174,24 +174,11 @@ class WholeFit:
 class WholeModel:
     """Recordings to which whole models are fitted, starting from one identified step by step.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with marked outliers.
-    read_late_s : sequence of float
-        Time by which each recording reads its rows after the voltage.
-    later_s : float
-        Further time by which the rows may be read late, as a negative delay.
-    responses : sequence of MeasuredResponse
-        Frequency responses with the sign of the model.
-    has_free_gains : bool
-        Whether the recordings may differ in their gains, because a line stands for a hysteresis
-        that none of them determines. The gain of the model is that of the widest voltage.
-
-    Raises
-    ------
-    ValueError
-        If a recording is too short.
+    The recordings have the sign of the model and marked outliers, and the measured responses have
+    its sign. Each recording reads its rows `read_late_s` after the voltage; they may be read late
+    by a further `later_s`, as a negative delay. With free gains, the recordings may differ in their
+    gains, because a line stands for a hysteresis that none of them determines. The gain of the
+    model is then that of the widest voltage. Raise ValueError if a recording is too short.
     """
 
     given: StageModel
@@ -233,15 +220,9 @@ class WholeModel:
                         past_v: PastVoltages | None = None) -> "WholeModel":
         """Return the problem with the hysteresis of a model, which also chooses the pasts.
 
-        Parameters
-        ----------
-        model : StageModel
-            Model with all of its effects.
-        width : float
-            Prior width of the changes of the hysteresis.
-        past_v : tuple of float, optional
-            Voltages before each recording. By default each has the past that the model finds, or
-            keeps its own if that is closer.
+        The model has all of its effects, and `width` is the prior width of the changes of the
+        hysteresis. If the voltages before each recording, `past_v`, are not given, each has the
+        past that the model finds, or keeps its own if that is closer.
         """
         problem = copy(self)
         vars(problem).pop("_pieces_um", None)
@@ -334,16 +315,10 @@ class WholeModel:
             density_changes: FloatArray | None = None) -> WholeFit:
         """Fit all parameters of a model, its effects, and its delay.
 
-        Parameters
-        ----------
-        model : StageModel
-            Initial model; its delays are ignored.
-        delay_s : float or None
-            Initial delay; None for no delay.
-        steps : int
-            Largest number of steps; 0 for the model as it is.
-        density_changes : (n,) array, optional
-            Changes of the initial hysteresis from an earlier fit; by default none.
+        The delays of the initial model are ignored: the initial delay is `delay_s`, and None stands
+        for no delay. The fit takes at most `steps` steps; with 0, the model remains as it is.
+        `density_changes`, (n,), are changes of the initial hysteresis from an earlier fit, by
+        default none.
         """
         effects = tuple(effect for effect in model.effects if type(effect) is not Delay)
         shift_s = 0.0
