@@ -189,17 +189,12 @@ def new_loops(
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
-    Only the residual passes through the approximate inverse of creep and dynamics. It is then
-    added to the output of the model's hysteresis.
+    Only the residual passes through the approximate inverse of creep and dynamics. It is then added
+    to the output of the model's hysteresis.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Recordings with their rows as given, not aligned.
-    near : DensityEstimate
-        Estimate from the same recordings with nearly the same creep and dynamics.
-    read_late_s : dict of str to float
-        Time by which each recording reads its rows after the voltage.
+    The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
+    after the voltage. `near` is an estimate from the same recordings with nearly the same creep and
+    dynamics.
     """
     names = keys_of_kind(recordings, "hysteresis")
     parts = [played(recordings[name]) for name in names]

@@ -247,16 +247,8 @@ def creep_of(
     clearly: a wrong shift of fast rows smears the steps of slow ones. Jumps are not used until
     there are dynamics, because a model without them responds to a jump immediately.
 
-    Parameters
-    ----------
-    pair_count : int, optional
-        Number of creep pairs; by default chosen from the data.
-
-    Returns
-    -------
-    estimate : Estimate
-    read_at_samples : float
-        Instant at which the rows are read, in sample periods after their voltage.
+    The number of creep pairs is chosen from the data unless it is given. The second result is the
+    instant at which the rows are read, in sample periods after their voltage.
     """
     tried = []
     for read_at in _creep_readings(recordings, found):
@@ -311,18 +303,9 @@ def aligned_density(
     """Estimate the density, with its recordings read at the instant that fits them best.
 
     They are read with their voltage unless the evidence for another instant is decisive: the errors
-    of a wrong model do not show when rows are read.
-
-    Parameters
-    ----------
-    before : DensityEstimate, optional
-        Estimate with other dynamics, whose weights are reused; by default they are chosen.
-
-    Returns
-    -------
-    density : DensityEstimate
-    read_at_samples : float
-        Instant at which the rows of the recordings are read, in sample periods after their voltage.
+    of a wrong model do not show when rows are read. The weights of an estimate with other dynamics
+    are reused; without one, they are chosen. The second result is the instant at which the rows of
+    the recordings are read, in sample periods after their voltage.
     """
     tried = []
     smoothing = before.smoothing_weight if before is not None else None

@@ -287,22 +287,12 @@ def fitted_together(
 ) -> tuple[FittedModel, dict[str, float]]:
     """Fit all parameters of a model together, and choose its structure by the evidence.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Conditioned recordings with their rows as given; all except the validation are fitted.
-    read_at : dict of str to float
-        Instants at which their rows are read, in sample periods after the voltage.
-    new_loops : callable, optional
-        Estimates the hysteresis again with a fitted model; its second argument is the time in s by
-        which each recording reads its rows late. None if no recording of loops was given.
-
-    Returns
-    -------
-    fitted : FittedModel
-        The best of all models that were tried, including the initial one.
-    read_at : dict of str to float
-        Instants as fitted.
+    The conditioned recordings have their rows as given; all except the validation are fitted.
+    `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
+    `new_loops` estimates the hysteresis again with a fitted model; its second argument is the time
+    in s by which each recording reads its rows late. It is None if no recording of loops was given.
+    Return the best of all models that were tried, including the initial one, and the instants as
+    fitted.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}

@@ -39,10 +39,7 @@ class Stages:
     def failures_explained(self, paths: Iterable[object]) -> Iterator[None]:
         """Turn a failure of linear algebra into an error that names the stage and the recordings.
 
-        Raises
-        ------
-        ValueError
-            Instead of `numpy.linalg.LinAlgError`.
+        Raise ValueError instead of `numpy.linalg.LinAlgError`.
         """
         try:
             yield

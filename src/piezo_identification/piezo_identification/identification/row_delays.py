@@ -78,19 +78,9 @@ def row_delays(
     model: StageModel, recordings: Mapping[str, Data], found: Mapping[str, float],
     read_at_samples: float, linear: LinearDynamics,
 ) -> dict[str, RowDelay]:
-    """Estimate the remaining delay of each recording.
+    """Estimate the remaining delay of each aligned recording, by its name.
 
-    Parameters
-    ----------
-    recordings : dict of str to Recording or FrequencyResponse
-        Aligned recordings.
-    read_at_samples : float
-        Instant given to `identify`.
-
-    Returns
-    -------
-    dict of str to RowDelay
-        Delays by the name of the recording; frequency responses are omitted.
+    `read_at_samples` is the instant given to `identify`. Frequency responses are omitted.
     """
     rows = {}
     for name, recording in recordings.items():
