@@ -28,20 +28,11 @@ def with_generator_edges(model: StageModel, recordings: Sequence[Recording],
     """Return recordings, with the column `EARLY_EDGE` where a free-running generator drove them.
 
     The edges are fitted to the model, with a free gain, offset and initial motion. Those of the
-    first such recording keep their mean time, which is indistinguishable from a delay.
+    first such recording keep their mean time, which is indistinguishable from a delay. Recordings
+    without such edges, or whose edges explain no more than edges at the rows, are unchanged.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        Recordings with the sign of the model and with their outliers marked.
-    read_late_s : sequence of float
-        Time after its voltage at which the displacement of a row of each is read.
-
-    Returns
-    -------
-    list of Recording
-        Recordings without such edges, or whose edges explain no more than edges at the rows, are
-        unchanged.
+    The recordings have the sign of the model and marked outliers, and the displacement of a row of
+    each is read `read_late_s` after its voltage.
     """
     found: list[Recording] = []
     for recording, late_s in zip(recordings, read_late_s, strict=True):

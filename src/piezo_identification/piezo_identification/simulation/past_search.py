@@ -47,16 +47,8 @@ SETTINGS = PastSearchSettings()
 def conditioned(model: StageModel, recording: Recording) -> tuple[Recording, bool]:
     """Return the recording with the sign of the model and with its outliers marked.
 
-    Returns
-    -------
-    recording : Recording
-    is_reversed : bool
-        Whether the sign of its displacement was changed.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short to settle.
+    The second result is whether the sign of its displacement was changed. Raise ValueError if the
+    recording has gaps, or is too short to settle.
     """
     recording = with_outliers_marked(recording)
     is_reversed = after_saturation(model, recording).is_reversed
@@ -70,12 +62,8 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     fitted: the highest and then the lowest earlier voltage, which represent the first turning
     points of any past, and swings that became smaller about some voltage, which leave the stage
     demagnetised. The better one is used if the error is clearly smaller than with a past from
-    negative saturation.
-
-    Returns
-    -------
-    tuple of float
-        Extreme voltages in their order; empty if they are not used.
+    negative saturation. The result is the extreme voltages in their order, and empty if they are
+    not used.
     """
     early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
     part = after_saturation(model, recording.select(early))
@@ -91,12 +79,8 @@ def after_saturation(model: StageModel, recording: Recording) -> SimulatedRecord
     """Simulate a recording after negative saturation.
 
     For a model with a first rise, the highest earlier voltage is estimated: the stage was cycled,
-    unless a lower voltage reduces the error clearly.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short to settle.
+    unless a lower voltage reduces the error clearly. Raise ValueError if the recording has gaps, or
+    is too short to settle.
     """
     cycled = SimulatedRecording(model, recording)
     if model.first_rise is None:
@@ -114,19 +98,9 @@ def simulated_recording(model: StageModel, recording: Recording,
                         read_late_s: float = 0.0) -> SimulatedRecording:
     """Simulate a recording that is to be fitted, after the voltages before it.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording with the sign of the model and with its outliers marked.
-    past_v : tuple of float, optional
-        Voltages before the recording; by default those of `starting_past_v`.
-    read_late_s : float
-        Time after its voltage at which the displacement of a row is read; 0 for means.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short.
+    The recording has the sign of the model and marked outliers. The voltages before it are those of
+    `starting_past_v` unless they are given. The displacement of a row is read `read_late_s` after
+    its voltage, 0 for means. Raise ValueError if the recording has gaps, or is too short.
     """
     part = after_saturation(model, recording)
     if part.settled.size < FEWEST_SAMPLES:

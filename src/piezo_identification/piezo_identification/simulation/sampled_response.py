@@ -31,20 +31,10 @@ def leading_lags(
 ) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
     """Separate the leading effects that can be put in series with a linear system.
 
-    Slow samples do not show all motion between them, so lags are exact only in series.
-
-    Parameters
-    ----------
-    effects : sequence of piezo_models.effects.effect.Effect
-        Effects after the system, in the order of the signal.
-    samples : int
-        Samples averaged in each measured displacement; a delay acts on the means if there are
-        several.
-
-    Returns
-    -------
-    lags, others : tuple of Effect
-        Leading lags, and the other effects, which act on the sampled displacement.
+    Slow samples do not show all motion between them, so lags are exact only in series. The effects
+    are those after the system, in the order of the signal. A measured displacement is the mean of
+    `samples` samples; a delay acts on the means if there are several. Return the leading lags, and
+    the other effects, which act on the sampled displacement.
     """
     kinds = (Delay, SensorLag) if samples == 1 else (SensorLag,)
     lags = tuple(takewhile(lambda effect: type(effect) in kinds, effects))
@@ -68,20 +58,11 @@ def respond(
 ) -> FloatArray:
     """Return the response that begins in equilibrium with the first input, (N,) or (n,).
 
-    Parameters
-    ----------
-    input_um : (N parts,) array
-        Inputs, each held for a part of a sample period.
-    samples : int
-        Samples averaged in each displacement.
-    delay_s : float
-        Exact delay after the system, of any fraction of a sample period. If it is negative, the
-        response is read after the input changes, and the last input is held. It must be 0 for
-        means.
-    at : (n,) array of int, optional
-        Sorted samples to return; by default all. A few samples cost less.
-    parts : int
-        Parts of a sample period; 1 for means.
+    Each of the inputs, (N parts,), is held for a part of a sample period, and each displacement is
+    the mean of `samples` samples. The delay after the system is exact for any fraction of a sample
+    period. If it is negative, the response is read after the input changes, and the last input is
+    held. For means, the delay must be 0, and a sample period has one part. `at`, (n,), holds the
+    sorted samples to return, by default all; a few samples cost less.
     """
     sampled = SampledSystem(system, sample_period_s, samples, delay_s, parts)
     return sampled.response(input_um) if at is None else sampled.response_at(input_um, at)[:, 0]
@@ -145,11 +126,8 @@ def delayed_zoh(
 ) -> tuple[control.StateSpace, int]:
     """Return the discrete system for a held input and a delayed output.
 
-    Returns
-    -------
-    discrete : control.StateSpace
-    late : int
-        Further delay of the output in whole sample periods; it may be negative.
+    The second result is the further delay of the output in whole sample periods, which may be
+    negative.
     """
     discrete = zoh(system, sample_period_s)
     late, part = divmod(delay_s / sample_period_s, 1.0)
@@ -168,12 +146,8 @@ def mean_zoh(
 ) -> control.StateSpace:
     """Return the discrete system whose output is the mean of the samples in each held period.
 
-    Parameters
-    ----------
-    sample_period_s : float
-        Time for which the input is held.
-    samples : int
-        Number of equally spaced output samples in that time, the first at its start.
+    The input is held for `sample_period_s`. In that time there are `samples` equally spaced output
+    samples, the first at its start.
     """
     fine = zoh(system, sample_period_s / samples)
     if samples == 1:

@@ -68,10 +68,8 @@ PastVoltages = tuple[float, ...]
 class SimulatedRecording:
     """The part of a recording in which a waveform is played, and its simulation by a model.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording with the sign of the model and with its outliers marked.
+    The recording has the sign of the model and marked outliers. Raise ValueError if it has gaps, or
+    is too short to settle.
 
     Attributes
     ----------
@@ -96,11 +94,6 @@ class SimulatedRecording:
         First sample after the start has settled; 0 if the recording begins at rest.
     settled, good : (n,) array of int
         Samples after the start has settled, and those of them that are not outliers.
-
-    Raises
-    ------
-    ValueError
-        If the recording has gaps, or is too short to settle.
     """
 
     past_v: PastVoltages = ()
@@ -193,13 +186,9 @@ class SimulatedRecording:
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement simulated by the model with further effects, (N,) or (n,).
 
-        Parameters
-        ----------
-        quick : sequence of piezo_models.effects.effect.Effect
-            Those of the effects that act on the sampled displacement if they are linear. That is
-            slightly less exact than a system in series, but much faster.
-        rows : (n,) array of int, optional
-            Sorted samples to return; by default all. A few samples cost less.
+        `quick` holds those of the effects that act on the sampled displacement if they are linear.
+        That is slightly less exact than a system in series, but much faster. `rows`, (n,), holds
+        the sorted samples to return, by default all; a few samples cost less.
         """
         on_voltage = self._on_voltage(effects)
         effects = as_rows_show(effects, self.sample_period_s)
@@ -514,19 +503,9 @@ def in_parts(voltage: RowVoltage, effects: Collection[Effect], sample_period_s: 
              samples_per_mean: int) -> tuple[FloatArray, int]:
     """Return a recorded voltage divided into the parts in which its rows are simulated.
 
-    Parameters
-    ----------
-    effects : collection of Effect
-        Effects on the voltage; those that act within a row require several parts.
-    samples_per_mean : int
-        Samples averaged in a row; averaged rows are not divided.
-
-    Returns
-    -------
-    voltage_v : (N parts,) array
-        Voltage before the effects: held, or its mean over each part for a `BandLimitedVoltage`.
-    parts : int
-        Number of parts of a row.
+    Effects on the voltage that act within a row require several parts. Rows in which several
+    samples are averaged are not divided. The result is the voltage before the effects, (N parts,),
+    held, or its mean over each part for a `BandLimitedVoltage`, and the number of parts of a row.
     """
     is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
     if is_smooth and samples_per_mean == 1:
