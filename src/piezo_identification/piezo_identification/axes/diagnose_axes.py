@@ -110,17 +110,9 @@ def diagnose_axes(identified: IdentifiedAxes,
                   data: AxesRecording | AxesResponse) -> AxesDiagnosis:
     """Find the effect, or the two effects, that a model lacks to explain a recording or response.
 
-    Parameters
-    ----------
-    identified : IdentifiedAxes
-    data : AxesRecording or AxesResponse
-        Errors in a response are those of the gain, in um/V.
-
-    Raises
-    ------
-    ValueError
-        If the data are of other axes, of a shorter sample period, too short, or without motion,
-        if a displacement is constant, or if the model has more than a response can show.
+    Errors in a response are those of the gain, in um/V. Raise ValueError if the data are of other
+    axes, of a shorter sample period, too short, or without motion, if a displacement is constant,
+    or if the model has more than a response can show.
     """
     errors: DiagnosedErrors = (
         ErrorsInResponse(identified, data) if isinstance(data, AxesResponse)

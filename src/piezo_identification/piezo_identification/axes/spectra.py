@@ -102,12 +102,8 @@ def spectra_of_level(recordings: Sequence[AxesRecording]) -> list[Spectrum]:
 def spectra_of_response(response: AxesResponse) -> list[Spectrum]:
     """Return the spectrum of a measured response to each axis, as of held voltage samples.
 
-    Deviations that are not known are alike at all lines, as large as most lines' rough part.
-
-    Raises
-    ------
-    ValueError
-        If the sample rate is too low for the frequencies.
+    Deviations that are not known are alike at all lines, as large as most lines' rough part. Raise
+    ValueError if the sample rate is too low for the frequencies.
     """
     held = response.hold_gain()[:, None, None]
     z = np.exp(2j * np.pi * response.frequency_hz * response.sample_period_s)
