@@ -54,13 +54,12 @@ class GivenFiles:
     """Data to diagnose, as read from files."""
 
     identified: IdentifiedModel
-
     model: AnyPath
-    """Path of the model file."""
+
     recordings: list[Recording]
     """Recordings with rows aligned as in the identification."""
+
     paths: tuple[AnyPath, ...]
-    """Paths of the recordings."""
     holdout: Recording | None
     identified_from: IdentificationRecordings
 

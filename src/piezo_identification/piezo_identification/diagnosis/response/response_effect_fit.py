@@ -26,16 +26,9 @@ class ResponseProblem:
     """A measured response to which effects are fitted, with a model's creep and dynamics.
 
     The effects of the given model itself are not changed. The response has no hold, and the sign of
-    the model.
-
-    Attributes
-    ----------
-    held_out : (N,) array of bool
-        Frequencies of the validation set.
-    noise : float
-        RMS noise of the gain.
-    extent : Extent
-        Ranges that bound the parameters of effects: a mode outside the measured band is a guess.
+    the model. `held_out`, (N,), is True at the frequencies of the validation set, and `noise` is
+    the RMS noise of the gain. `extent` holds the ranges that bound the parameters of effects: a
+    mode outside the measured band is a guess.
     """
 
     def __init__(self, model: StageModel, measured: FrequencyResponse) -> None:
