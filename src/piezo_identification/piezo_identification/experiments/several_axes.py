@@ -26,24 +26,15 @@ SEED = 1
 
 
 def axes_experiments(name: str, limits: Mapping[str, StageLimits]) -> list[Experiment]:
-    """Make the experiments of one name for a stage of several axes.
+    """Make the experiments of one name for a stage of several axes, from the limits of each axis.
+
+    In ``multisine``, all axes move at once, by orthogonal random phases. In ``validation``, all
+    move at once, too, by a waveform that differs for each. In the other experiments of the
+    catalogue, each axis moves alone in turn, while the others rest. The voltages of the experiments
+    are (N, axes), and their names begin with the given one.
 
     Raise ValueError if the experiment acts in feedback, or for the reasons given in
     `named_experiment`.
-
-    Parameters
-    ----------
-    name : str
-        ``multisine``: all axes at once, by orthogonal random phases. ``validation``: all at once, a
-        waveform that differs for each. The others of the catalogue: each axis alone in turn, while
-        the others rest.
-    limits : dict of str to StageLimits
-        What the stage allows, by axis.
-
-    Returns
-    -------
-    list of Experiment
-        Experiments with voltages of shape (N, axes); their names begin with `name`.
     """
     if name == "multisine":
         return orthogonal_multisines(limits)

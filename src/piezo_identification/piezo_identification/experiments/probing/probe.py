@@ -81,14 +81,9 @@ class Step:
 class Probe:
     """Measure a stage by small steps, each chosen from the results of those before it.
 
-    Every step begins and ends at the rest voltage.
-
-    Attributes
-    ----------
-    step : Experiment or None
-        Step to be played next; None once the probe is complete.
-    longest_s : float
-        Duration of the longest possible step, which indicates the remaining time.
+    Every step begins and ends at the rest voltage. `step` is the experiment to be played next, and
+    None once the probe is complete. `longest_s` is the duration of the longest possible step, which
+    indicates the remaining time.
     """
 
     longest_s = LONGEST_HOLD_S
