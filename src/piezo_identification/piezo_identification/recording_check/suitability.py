@@ -62,7 +62,6 @@ class Suitability:
     verdict: str
     """``yes``, ``partly`` or ``no``."""
     reason: str
-    """Reason for the verdict."""
 
 
 def suitability(check: RecordingCheck) -> dict[str, Suitability]:
