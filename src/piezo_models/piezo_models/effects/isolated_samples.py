@@ -62,16 +62,11 @@ def isolated(signal: FloatArray, voltage_v: FloatArray, answer_per_v: float | No
     returns. Steps of the voltage explain steps of the signal for a while. Tips of triangles, edges
     and ringing therefore do not stand out, as the samples next to them move alike.
 
-    Parameters
-    ----------
-    answer_per_v : float, optional
-        Largest change of the signal from one sample to the next for a step of 1 V. By default
-        `ANSWERED` times its range over that of the voltage, or less if its responses to jumps
-        of the voltage are slower.
-    noise : float
-        Lower bound of the standard deviation of the signal's noise.
-    answered_part : float
-        Fraction of the voltage's range below which its steps explain no step of the signal.
+    `answer_per_v` is the largest change of the signal from one sample to the next per volt of a
+    step. By default it is `ANSWERED` times the range of the signal over that of the voltage, or
+    less if its responses to jumps of the voltage are slower. `noise` is a lower bound of the
+    standard deviation of the signal's noise. Steps of the voltage below the fraction
+    `answered_part` of its range explain no step of the signal.
     """
     signal = np.ascontiguousarray(signal, dtype=float)
     voltage_v = np.asarray(voltage_v, dtype=float)

@@ -72,27 +72,13 @@ def advance(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
 def decide(error: float, a: FloatArray, b: FloatArray, c: FloatArray, d: float,
            observer: FloatArray, state: FloatArray, work: FloatArray, last_v: float,
            limit_v: float, step_v: float) -> tuple[float, bool]:
-    """Return the voltage of the block at the tick's rate within its limits.
+    """Return the voltage of the block at the tick's rate within its limits, in V.
 
-    If they cut the voltage, the observer corrects the state to agree with the limited voltage.
-
-    Parameters
-    ----------
-    error : float
-        Mean error of the tick (um).
-    a, b, c, d, observer
-        Matrices of the block, and the factors of its anti-windup.
-    state, work : ndarray, shape (n,)
-        State and work array; changed in place.
-    last_v, limit_v, step_v : float
-        Previous voltage, largest voltage of either sign, and largest change (V).
-
-    Returns
-    -------
-    voltage_v : float
-        Limited voltage (V).
-    stepped : bool
-        True if the change from `last_v` was limited to `step_v`.
+    The block has the matrices a, b, c and d, and `error` is the mean error of the tick in um. The
+    voltage is at most `limit_v` of either sign, and changes by at most `step_v` from `last_v`. If
+    these limits cut it, the observer corrects the state to agree with the limited voltage
+    (anti-windup). The state and its work array, (n,), are changed in place. The second result is
+    True if the change from `last_v` was limited.
     """
     wanted_v = advance(error, a, b, c, d, state, work)
     voltage_v = min(max(wanted_v, -limit_v), limit_v)

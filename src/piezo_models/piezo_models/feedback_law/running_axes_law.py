@@ -12,19 +12,10 @@ from piezo_models.feedback_law.feedback_law import FeedbackLaw
 class RunningAxesLaw:
     """Evaluate a law of several axes from tick to tick, like `RunningLaw`.
 
-    Parameters
-    ----------
-    largest_step_v : float
-        Largest change of the feedback voltage of an axis from one tick to the next (V).
-
-    Attributes
-    ----------
-    error_um : ndarray, shape (axes,)
-        Mean error of the last tick (um).
-    voltage_v : ndarray, shape (axes,)
-        Feedback voltage in the present tick (V).
-    stepped : bool
-        True if the largest step limited the voltage of an axis.
+    `largest_step_v` is the largest change of the feedback voltage of an axis from one tick to the
+    next in V, and `stepped` is True if it limited the voltage of an axis. `error_um`, (axes,), is
+    the mean error of the last tick, and `voltage_v`, (axes,), the feedback voltage in the present
+    tick.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int,

@@ -35,21 +35,10 @@ class RunningLaw:
     Call `begin` with the next planned voltages, play them with the returned ones added, and pass
     what was measured to `take`; `samples_at_once` is the number of samples of each call.
 
-    Parameters
-    ----------
-    rest_voltage_v : float
-        Voltage at the beginning of the run, reached from negative saturation (V).
-    largest_step_v : float
-        Largest change of the feedback voltage from one tick to the next (V).
-
-    Attributes
-    ----------
-    error_um : float
-        Mean error of the last tick (um).
-    voltage_v : float
-        Feedback voltage in the present tick: mean of the last output of `begin` (V).
-    stepped : bool
-        True if the largest step limited the voltage.
+    The run begins at the rest voltage in V, reached from negative saturation. `largest_step_v` is
+    the largest change of the feedback voltage from one tick to the next in V, and `stepped` is True
+    if it limited the voltage. `error_um` is the mean error of the last tick, and `voltage_v` the
+    feedback voltage in the present tick: the mean of the last output of `begin`.
     """
 
     def __init__(self, law: FeedbackLaw, samples_per_tick: int, rest_voltage_v: float = 0.0,
