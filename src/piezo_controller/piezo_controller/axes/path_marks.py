@@ -42,16 +42,10 @@ def marks_by_position(position_um: FloatArray, marks: NDArray[np.uint8], reading
     which the path rests. Marks stay in their order: one that would come before its predecessor
     follows it by a sample.
 
-    Parameters
-    ----------
-    position_um : (N, n) array
-        One period of the readings that were planned.
-    marks : (N,) array of uint8
-        Bits of `Mark`, earlier by `lead_samples` than the positions that they mark.
-    reading_um : (N, n) array
-        Readings of a period that was played with the same voltages.
-    delay_samples : (n,) array
-        By how much the reading of each axis is late.
+    One period of the readings that were planned, (N, n), is compared with the readings, (N, n), of
+    a period that was played with the same voltages. The marks are bits of `Mark`, and earlier by
+    `lead_samples` than the positions that they mark. The reading of each axis is late by
+    `delay_samples`, (n,).
     """
     samples, marked = len(marks), np.flatnonzero(marks)
     pixels = np.flatnonzero(marks & Mark.PIXEL)

@@ -32,32 +32,17 @@ def design_axes_feedback(model: CoupledModel, weights: DesignWeights, model_sha2
     """Design the feedback for a model of several axes, for a stage that evaluates it by itself.
 
     The weights apply to each axis as to a single one. The voltages are scaled by the static gains,
-    so that they apply to stages of any gain.
+    so that they apply to stages of any gain. The period of the weights is that of the tick, a
+    multiple of the model's. With `reduce`, the order is lowered if that costs next to nothing. The
+    hash of the model's file is kept with the controller.
 
-    Parameters
-    ----------
-    weights : DesignWeights
-        Weights of the design; their period is that of the tick, a multiple of the model's.
-    model_sha256 : str
-        Hash of the model's file, kept with the controller.
-    reduce : bool
-        Whether to lower the order if that costs next to nothing.
+    The report of the law holds ``method``, ``delay_ticks``, ``scaling``, ``gamma``, ``mu``,
+    ``mu_history``, ``order``, ``order_before_reduction``, ``hysteresis_gain_spread`` (the largest),
+    and the measures of `measure_axes_loop`.
 
-    Returns
-    -------
-    piezo_models.feedback_law.axes_law.AxesLaw
-        Its report holds ``method``, ``delay_ticks``, ``scaling``, ``gamma``, ``mu``,
-        ``mu_history``, ``order``, ``order_before_reduction``, ``hysteresis_gain_spread`` (the
-        largest), and the measures of `measure_axes_loop`.
-
-    Raises
-    ------
-    NoController
-        If the weights cannot be satisfied.
-    UnstableLoop
-        If the loop is not stable at every combination of the lowest and highest gains.
-    ValueError
-        If the tick is no multiple of the model's sample period.
+    Raise NoController if the weights cannot be satisfied, UnstableLoop if the loop is not stable at
+    every combination of the lowest and highest gains, and ValueError if the tick is no multiple of
+    the model's sample period.
     """
     tick_s = weights.sample_period_s
     plant, gains = scaled_plant(model, tick_s)

@@ -30,18 +30,11 @@ def onboard_law(controller: FeedbackController, model: StageModel, plan: Feedfor
                 hold_inverse: bool = False, max_error_um: float = np.inf) -> FeedbackLaw:
     """Return a feedback as a law, together with the plan that it acts on.
 
-    Parameters
-    ----------
-    controller : FeedbackController
-        Controller for the model, with the period of the tick or of the sample clock.
-    before_inverse : bool
-        Whether it passes the inverse hysteresis together with the feedforward. Its report must then
-        have the gain that it was designed for, else ValueError is raised.
-    hold_inverse : bool
-        Whether the stage then holds the mean of the inverse's voltages over a tick, as it holds
-        the answer of a node.
-    max_error_um : float
-        Largest error of the law (um), see `FeedbackLaw`.
+    The controller is one for the model, with the period of the tick or of the sample clock. With
+    `before_inverse`, it passes the inverse hysteresis together with the feedforward. Its report
+    must then have the gain that it was designed for, else ValueError is raised. With `hold_inverse`
+    in addition, the stage holds the mean of the inverse's voltages over a tick, as it holds the
+    answer of a node. For the largest error of the law (um) see `FeedbackLaw`.
     """
     inverse = None
     if before_inverse:

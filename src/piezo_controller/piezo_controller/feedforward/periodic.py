@@ -85,25 +85,17 @@ def plan_feedforward(reference_um: ArrayLike, model: StageModel, mode: str = "fe
 
     The linear dynamics are inverted harmonic by harmonic on the sampled model (4.22), the
     hysteresis exactly and with its memory. Creep continues throughout a run: the mean is chosen
-    such that the displacement has the reference's mean over `duration_s`. Further effects of the
-    model are compensated where they act, so that the measured displacement follows the reference.
+    such that the displacement has the reference's mean over `duration_s`, the duration of the
+    periodic part (s). Further effects of the model are compensated where they act, so that the
+    measured displacement follows the reference.
 
-    Parameters
-    ----------
-    reference_um : ndarray, shape (m,)
-        One period of the displacement.
-    mode : str
-        ``feedforward``; or ``open_loop``, which uses only the gain over the whole range and the
-        mean, and compensates nothing.
-    duration_s : float
-        Duration of the periodic part (s).
+    The reference, (m,), is one period of the displacement. The mode is ``feedforward``; or
+    ``open_loop``, which uses only the gain over the whole range and the mean, and compensates
+    nothing.
 
-    Raises
-    ------
-    UnreachableReference
-        If the voltage would leave the range or exceed the slew limit; names what is reachable.
-    ValueError
-        If the model's range does not fit the amplifier's, or `mode` is unknown.
+    Raise UnreachableReference, which names what is reachable, if the voltage would leave the range
+    or exceed the slew limit, and ValueError if the model's range does not fit the amplifier's, or
+    the mode is unknown.
     """
     reference_um = np.asarray(reference_um, dtype=float)
     planner = FeedforwardPlanner(len(reference_um), model, mode, stage=stage, duration_s=duration_s)

@@ -27,16 +27,10 @@ class LiveReference:
     Safe to use from several threads. The publisher counts as silent after `patience_s` without a
     message; an offset is added to every value, and raises `InvalidReference` if it is not finite.
 
-    Attributes
-    ----------
-    preview_samples : int
-        How far the values lie ahead of the publisher's present (samples), from its first message.
-    longest_samples : int
-        Number of samples in the longest message.
-    latest_um : float
-        Last value (um); NaN before the first.
-    bridged_samples : int
-        Number of omitted samples that were bridged.
+    From the first message on, `preview_samples` is how far the values lie ahead of the publisher's
+    present. `longest_samples` is the number of samples in the longest message, and `latest_um` the
+    last value (um), NaN before the first. `bridged_samples` counts the omitted samples that were
+    bridged.
     """
 
     def __init__(self, sample_period_s: float, patience_s: float = 0.0, offset_um: float = 0.0,

@@ -51,9 +51,8 @@ class TrackRequest:
     model_sha256: str
     """Path of the model's file, and the hash of its text."""
     references: Sequence[Reference]
-    """References in the order in which they are followed."""
     durations_s: Sequence[float]
-    """Duration of each reference."""
+    """References in the order in which they are followed, and the duration of each."""
     tolerance_um: float = 0.0
     """Tolerance of the rms error, see `TrackingRun`."""
     inversion: str = ""

@@ -221,10 +221,7 @@ class TrackingRun:
     def e_rms_percent(self, running: bool = False) -> float:
         """Return the error (2.32) of the counted part so far; with `running`, of its last samples.
 
-        Returns
-        -------
-        float
-            In percent; NaN before that part begins.
+        The error is in percent, and NaN before that part begins.
         """
         if running:
             return 100.0 * self._window.rms / self._travel_um

@@ -83,16 +83,10 @@ class PerturbedLoops:
     attenuation within the tolerance of each disturbance's frequency counts; the whole band has a
     number of coarse frequencies.
 
-    Attributes
-    ----------
-    plants : list of control.StateSpace
-        Sampled plants; the first is that of the model itself.
-    responses : ndarray of complex, shape (P, F)
-        Responses of the plants (um/V) at the frequencies.
-    slow : ndarray of bool, shape (F,)
-        Which frequencies lie below half the lowest disturbance.
-    disturbances : list of ndarray
-        Indices of the frequencies about each disturbance.
+    The first of the sampled `plants` is that of the model itself, and `responses`, (P, F), are
+    those of the plants (um/V) at the frequencies. The frequencies marked by `slow`, (F,), lie below
+    half the lowest disturbance, and `disturbances` holds the indices of those about each
+    disturbance.
     """
 
     def __init__(self, model: StageModel, errors: ModelErrors, clock_period_s: float = 25e-6,

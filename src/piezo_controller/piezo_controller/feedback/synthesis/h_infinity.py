@@ -20,20 +20,15 @@ def synthesise(plant: control.StateSpace, slack: float = 0.0, largest_norm: floa
                tolerance: float = 1e-4, axes: int = 1) -> tuple[control.StateSpace, float]:
     """Find the H-infinity (sub)optimal controller of a generalised plant by bisection.
 
-    Only stable controllers are accepted: an unstable one could not be at rest before a run, nor
-    when the voltage is limited. Returned with it is the upper bound of the norm of the closed loop
-    (gamma). Raises `NoController` if no controller reaches even `largest_norm`.
+    The plant is discrete. Its last inputs are the controls, one for each axis, and its last outputs
+    are the measurements. Only stable controllers are accepted: an unstable one could not be at rest
+    before a run, nor when the voltage is limited. Returned with the controller is the upper bound
+    of the norm of the closed loop (gamma). Raises `NoController` if no controller reaches even
+    `largest_norm`.
 
-    Parameters
-    ----------
-    plant : control.StateSpace
-        Discrete; its last inputs are the controls, one for each axis, its last outputs the
-        measurements.
-    slack : float
-        Part of the smallest norm that is given up. The optimal controller levels the closed loop
-        over all frequencies, if necessary with lightly damped poles; a little slack avoids that.
-    tolerance : float
-        Relative width at which the bisection ends.
+    `slack` is the part of the smallest norm that is given up. The optimal controller levels the
+    closed loop over all frequencies, if necessary with lightly damped poles; a little slack avoids
+    that. The bisection ends at the relative width `tolerance`.
     """
     upper, lower = largest_norm, 0.0
     best = _admissible(plant, upper, axes)
