@@ -21,26 +21,13 @@ def activation_matrix(voltage_v: ArrayLike, levels_v: ArrayLike,
     `activation_matrix(...) @ mu + offset`: eq. (2.3) with true areas in place of whole cells, as
     the staircase may cross a cell anywhere.
 
-    Parameters
-    ----------
-    voltage_v : (N,) array_like
-        Voltages beyond the levels act as the outermost level.
-    levels_v : (L + 1,) array_like
-        Increasing edges of the cells.
-    samples : (M,) array_like of int, optional
-        Increasing indices of the voltages whose rows are returned; all by default. The voltages
-        between them act, too.
+    The levels, (L + 1,), are the increasing edges of the cells; voltages, (N,), beyond them act as
+    the outermost level. The result, (N, L(L + 1)/2), holds areas in V^2. If increasing indices of
+    voltages are given as `samples`, (M,), only their rows are returned, (M, L(L + 1)/2); the
+    voltages between them act, too.
 
-    Returns
-    -------
-    (N or M, L(L + 1)/2) array
-        Areas in V^2.
-
-    Raises
-    ------
-    ValueError
-        If the levels do not increase, a voltage is not finite, or the samples do not increase
-        within the sequence.
+    Raise ValueError if the levels do not increase, a voltage is not finite, or the samples do not
+    increase within the sequence.
     """
     voltage = np.ascontiguousarray(voltage_v, dtype=float)
     levels = np.ascontiguousarray(levels_v, dtype=float)

@@ -88,7 +88,6 @@ class ExtendedModel:
     pictures: tuple
     """Figures from `draw_models`."""
     runs: list
-    """Runs with the extended model."""
 
 
 def draw_models(model, extended_model, validation):

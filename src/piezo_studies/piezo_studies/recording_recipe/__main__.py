@@ -51,9 +51,8 @@ class Trial:
     asked: str
     """Changed condition."""
     recorded_s: float
-    """Duration of the recording."""
     samples: int
-    """Number of samples of the recording."""
+
     error_percent: float
     """Error on unseen data."""
 
