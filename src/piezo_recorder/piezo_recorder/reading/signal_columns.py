@@ -42,7 +42,7 @@ class SignalSource:
     """Column of a signal."""
 
     label: str
-    """Label of the column."""
+
     scale: float
     """Value of one unit of the column in s, V or um."""
     note: str = ""

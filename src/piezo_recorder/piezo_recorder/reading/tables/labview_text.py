@@ -15,7 +15,7 @@ class LabviewPreamble:
     """Entries of a preamble that are needed to read the table."""
 
     delimiter: str
-    """Delimiter of cells."""
+
     units: tuple[str, ...]
     """Units of the channels, in their order."""
     period_s: float
