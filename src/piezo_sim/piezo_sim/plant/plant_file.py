@@ -241,17 +241,9 @@ def read_plant(path: str | Path | None = None) -> PlantConfig:
 def read_any_plant(path: str | Path | None = None) -> PlantConfig | AxesPlantConfig:
     """Read a plant file of one axis or several.
 
-    Parameters
-    ----------
-    path : path-like, optional
-        YAML file, or one of the names `PLANTS` and `AXES_PLANTS`; by default the plant
-        ``default``.
-
-    Raises
-    ------
-    PlantConfigError
-        If the file cannot be read, or a section, effect or parameter is unknown, missing, without
-        unit or source, not finite, or impossible.
+    The path is that of a YAML file, or one of the names `PLANTS` and `AXES_PLANTS`; by default it
+    is the plant ``default``. Raise PlantConfigError if the file cannot be read, or a section,
+    effect or parameter is unknown, missing, without unit or source, not finite, or impossible.
     """
     name, named = "default" if path is None else str(path), PLANTS | AXES_PLANTS
     if name in named:
