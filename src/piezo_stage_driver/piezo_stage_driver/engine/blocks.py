@@ -66,14 +66,9 @@ class Filled(NamedTuple):
 class BlockCollector:
     """Collect samples until they fill a block.
 
-    Attributes
-    ----------
-    decimation : int
-        Number of clock samples whose mean is one published sample.
-    samples_per_block : int
-        Clock samples per block at the full rate; samples of one call of `add` stay together.
-    pending_samples : int
-        Number of clock samples that are not in a block yet.
+    A published sample is the mean of `decimation` samples of the clock. At the full rate a block
+    has `samples_per_block` samples; those of one call of `add` stay together. Of the clock's
+    samples, `pending_samples` are not in a block yet.
     """
 
     def __init__(self) -> None:

@@ -63,25 +63,14 @@ class StageCommands:
              axes: Sequence[str] = (), marks: npt.ArrayLike = ()) -> tuple[int, int]:
         """Begin to play a waveform, after an approach from the present voltage.
 
-        Parameters
-        ----------
-        voltage_v : array_like, shape (n,) or (n * axes,)
-            Voltages (V); with several axes a value of each axis, sample by sample.
-        sample_period_s : float
-            Period of the values; a whole multiple of the clock's period, at most 1 s.
-        hold_at_end : bool
-            Whether to stay at the last voltage instead of returning to rest.
-        client : str
-            Name of the client; reported to others that are refused meanwhile.
-        axes : sequence of str
-            Names of all axes in the order of the stage, if it has several.
-        marks : array_like of uint8, shape (n,), optional
-            Marks of the samples, for cameras and detectors; held and repeated like the voltages.
+        The voltages (V) are (n,), or (n * axes,) with several axes: a value of each axis, sample by
+        sample. `axes` are then the names of all axes in the order of the stage. The period of the
+        values is a whole multiple of the clock's period, at most 1 s. With `hold_at_end`, the stage
+        stays at the last voltage instead of returning to rest. The name of the client is reported
+        to others that are refused meanwhile. The marks of the samples, (n,), are for cameras and
+        detectors; they are held and repeated like the voltages.
 
-        Returns
-        -------
-        first_sample, samples : int
-            Position of the waveform on the sample clock, and its length.
+        Return the first sample of the waveform on the sample clock, and its length in samples.
         """
         self._require_ready()
         voltage_v = self._by_sample(np.array(voltage_v, dtype=float), axes)
@@ -110,19 +99,13 @@ class StageCommands:
                          period_marks: npt.ArrayLike = ()) -> int:
         """Load the feedforward that ``start_tracking`` plays; return its unique number.
 
-        Parameters
-        ----------
-        once_voltage_v, period_voltage_v : ndarray, shape (n,), (m,)
-            Played once, then repeated; at the rate of the sample clock. With several axes a value
-            of each axis, sample by sample.
-        append : bool
-            Whether to append ``once_voltage_v`` to what is loaded, also while it plays.
-        feedforward_id : int
-            Number of the feedforward to append to; 0 for the loaded one.
-        axes : sequence of str
-            Names of all axes in the order of the stage, if it has several.
-        once_marks, period_marks : array_like of uint8, shape (n,), (m,), optional
-            Marks of the samples, see `play`; a stream has none.
+        ``once_voltage_v``, (n,), is played once, and ``period_voltage_v``, (m,), is then repeated,
+        at the rate of the sample clock. With several axes they hold a value of each axis, sample by
+        sample, and `axes` are the names of all axes in the order of the stage. For the marks of the
+        samples, (n,) and (m,), see `play`; a stream has none.
+
+        With `append`, ``once_voltage_v`` is appended to the feedforward with the number
+        `feedforward_id`, or with 0 to the loaded one, also while it plays.
         """
         limits = self._limits
         once_voltage_v = self._by_sample(np.array(once_voltage_v, dtype=float), axes)
@@ -224,16 +207,9 @@ class StageCommands:
                        onboard: bool = False, feedforward_id: int = 0) -> int:
         """Play the loaded feedforward; return the first tick.
 
-        Parameters
-        ----------
-        feedback : bool
-            Whether to add the answers to the blocks.
-        ticks : int
-            Duration; 0 until a stop.
-        onboard : bool
-            Whether to add the output of the loaded law, instead of answers.
-        feedforward_id : int
-            Number of the feedforward to play; 0 for the loaded one.
+        With `feedback`, the answers to the blocks are added; with `onboard`, the output of the
+        loaded law is added instead. The run lasts `ticks`, or with 0 until a stop. `feedforward_id`
+        is the number of the feedforward to play; 0 stands for the loaded one.
         """
         self._require_ready()
         if feedback and self._engine.axes:

@@ -24,12 +24,8 @@ class TickTimes:
     or by a tick if nothing is written ahead. If a backend restarts its clock after a long pause,
     the phase is determined anew.
 
-    Attributes
-    ----------
-    missed : int
-        Number of exchanges since `open` that missed their deadline.
-    lateness : LatencyCounts
-        Delay from the time at which an exchange was due to the request.
+    `missed` is the number of exchanges since `open` that missed their deadline. `lateness` counts
+    the delays from the time at which an exchange was due to the request.
     """
 
     _due_s: float | None

@@ -19,12 +19,8 @@ from piezo_stage_driver.safety.supervisor import UNSAFE
 class StageReports:
     """The log of stops, and the stage's status on ``/diagnostics``.
 
-    Attributes
-    ----------
-    latency : AnswerLatency
-        Latency of the answers since the stage was activated.
-    tick_times : TickTimes or None
-        Timing of a stage that is paced by its backend's clock.
+    `latency` is that of the answers since the stage was activated. `tick_times` is the timing of a
+    stage that is paced by its backend's clock; None for any other.
     """
 
     def __init__(self, node: Node, outputs: StageOutputs, latch: StopLatch,

@@ -16,13 +16,9 @@ SensorGuards = Sequence[SensorGuard] | Mapping[str, Sequence[SensorGuard]]
 class GuardSet:
     """Examine with all guards, and report the first cause of a stop.
 
-    Parameters
-    ----------
-    sensor_guards : sequence of SensorGuard, or dict of str to such sequences
-        Guards that examine every stretch of samples; for several axes those of each axis by
-        its name, in the order of the columns.
-    feedback_guard : FeedbackOscillation, optional, or dict of str to such guards
-        Guard that examines every answer before it acts, of each axis if there are several.
+    The guards of the sensor examine every stretch of samples; for several axes they are those of
+    each axis by its name, in the order of the columns. The guard of the feedback, of each axis if
+    there are several, examines every answer before it acts.
     """
 
     def __init__(self, sensor_guards: SensorGuards = (), feedback_guard: FeedbackGuard = None):
