@@ -25,25 +25,12 @@ def declare(node: Node, name: str, default: Value, description: str, minimum: fl
             choices: Sequence[str] = ()) -> Value:
     """Declare a parameter, unless it is declared, and return its value.
 
-    Parameters
-    ----------
-    name : str
-        Name; it ends in the unit of the value, if there is one.
-    default : bool, int, float, str or list
-        Default value, which also determines the type.
-    description : str
-        Sentence for ``ros2 param describe``.
-    minimum, maximum : float, optional
-        Inclusive bounds; give both or none.
-    read_only : bool
-        True to reject changes while the node runs.
-    choices : tuple of str
-        Allowed values of a string; empty for any.
+    The name ends in the unit of the value, if there is one, and the default also determines the
+    type. The description is the sentence for ``ros2 param describe``. The bounds are inclusive, and
+    both or none are given; the choices are the allowed values of a string, or empty for any.
+    Changes are rejected while the node runs if the parameter is read-only.
 
-    Raises
-    ------
-    InvalidParameter
-        If an override has another type, or is not an allowed value.
+    Raise InvalidParameter if an override has another type, or is not an allowed value.
     """
     if node.has_parameter(name):
         return node.get_parameter(name).value

@@ -94,24 +94,14 @@ def run_node(create_node: Callable[[], Node], args: list[str] | None = None,
     callbacks before the end, until it returns True. ``close()`` is called last, while ROS still
     works.
 
-    Parameters
-    ----------
-    create_node : callable
-        Creates the node; called without arguments once ROS is initialised. A ValueError ends the
-        process, which prints its text as one line.
-    args : list of str, optional
-        Arguments; ``sys.argv`` by default.
-    expendable : bool
-        True to limit the node's memory by its parameter ``memory_limit_percent``, and to make the
-        kernel end it before other nodes.
-    held_back : str
-        Topic of the node's namespace whose readers the node waits for; see ``holding_back``.
+    `create_node` is called once ROS is initialised. A ValueError that it raises ends the process,
+    which prints its text as one line. The arguments are ``sys.argv`` by default. The memory of an
+    expendable node is limited by its parameter ``memory_limit_percent``, and the kernel ends it
+    before other nodes. `held_back` is a topic of the node's namespace whose readers the node waits
+    for; see ``holding_back``.
 
-    Raises
-    ------
-    SystemExit
-        With status 2 if the node cannot start with the given input, and 1 if it was suspended for
-        so long that the other nodes gave it up.
+    Raise SystemExit with status 2 if the node cannot start with the given input, and with status 1
+    if it was suspended for so long that the other nodes gave it up.
     """
     ending = Ending()
     node = _start(create_node, args, expendable, held_back)

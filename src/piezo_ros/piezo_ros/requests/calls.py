@@ -124,21 +124,12 @@ class ActionCaller:
             cancelled: Callable[[], bool] = lambda: False) -> Message:
         """Run one goal to its end; return its result, also that of a cancelled goal.
 
-        Parameters
-        ----------
-        on_feedback : callable, optional
-            Called with each feedback message, in the executor's thread. An exception cancels the
-            goal, and is raised here unless the work is cancelled anyway.
-        cancelled : callable
-            Called periodically; True cancels the goal, whose end is still awaited.
+        `on_feedback` is called with each feedback message, in the executor's thread. An exception
+        that it raises cancels the goal, and is raised here unless the work is cancelled anyway.
+        `cancelled` is called periodically; True cancels the goal, whose end is still awaited.
 
-        Raises
-        ------
-        CallFailed
-            If there is no server, the goal was rejected, or the server's node or this one ends
-            meanwhile.
-        GoalAborted
-            If the goal ended without success.
+        Raise GoalAborted if the goal ended without success, and CallFailed if there is no server,
+        the goal was rejected, or the server's node or this one ends meanwhile.
         """
         _await_service(self._node, self._client.wait_for_server, self._name, CALL_TIMEOUT_S)
         set_deadline(goal, CALL_TIMEOUT_S)

@@ -36,12 +36,9 @@ LAST_BLOCK_S = 1.0
 class StageTracker:
     """Run the stage's feedforward and feedback, one run at a time.
 
-    Attributes
-    ----------
-    last_sample : int
-        Last sample of the last run, including the return to rest; 0 until the stage is at rest.
-    missed_feedback : int
-        Responses of the last run that the stage missed.
+    `last_sample` is the last sample of the last run, including the return to rest; it is 0 until
+    the stage is at rest. `missed_feedback` counts the responses of the last run that the stage
+    missed.
     """
 
     def __init__(self, node: Node) -> None:
@@ -73,35 +70,18 @@ class StageTracker:
             marks: tuple[bytes, bytes] = (b"", b"")) -> None:
         """Play a feedforward for some ticks and wait until the stage is at rest.
 
-        Parameters
-        ----------
-        once_voltage_v, period_voltage_v : ndarray
-            Voltages as in `LoadFeedforward`, or of shape (n, axes).
-        ticks : int
-            Duration in ticks; 0 to play until cancelled.
-        take : callable
-            Called with each `SampleBlock` of the run; returns the response, a voltage in V.
-        answering : bool
-            True if the stage waits for the responses and adds them.
-        cancelled : callable
-            Called periodically; True stops the run.
-        report : callable
-            Called periodically, and once the stage is at rest.
-        more : callable, optional
-            Source of the streamed feedforward after ``once_voltage_v``, see `Stream`; the blocks
-            are then always answered.
-        law : FeedbackLaw, optional
-            Law that the stage evaluates itself; there are then no responses.
-        axes : sequence of str
-            Names of all axes of the stage, if it has several; the blocks are then not answered.
-        marks : tuple of bytes
-            Marks of both voltages as in `LoadFeedforward`, a byte for each sample of all axes, or
-            none.
+        The voltages are as in `LoadFeedforward`, or of shape (n, axes). Their marks are as in that
+        message: a byte for each sample of all axes, or none. The run lasts `ticks`, or with 0 until
+        it is cancelled. `cancelled` is called periodically, and True stops the run. `report` is
+        called periodically, and once the stage is at rest.
 
-        Raises
-        ------
-        CallFailed
-            If the stage rejects the run, sends no samples, or is gone.
+        `take` is called with each `SampleBlock` of the run, and returns the response, a voltage in
+        V. With `answering`, the stage waits for the responses and adds them. `more` is the source
+        of the streamed feedforward after ``once_voltage_v``, see `Stream`; the blocks are then
+        always answered. If the stage evaluates a law by itself, there are no responses. If it has
+        several axes, `axes` names all of them, and the blocks are not answered.
+
+        Raise CallFailed if the stage rejects the run, sends no samples, or is gone.
         """
         self._stage.begin()
         for event in self._at_rest, self._awake, self._begun:
