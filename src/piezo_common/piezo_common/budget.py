@@ -17,28 +17,12 @@ class TimeIsUp(Exception):
 class Budget:
     """The time for some work, and what was not tried when it was over.
 
-    Parameters
-    ----------
-    seconds : float, optional
-        Time in s; unlimited by default.
-    clock : callable
-        Returns the time in s.
-    taken_s : float
-        Part of the time that was used before, in s.
-    to_write_s : float
-        Part of the time reserved for drawing and writing results, in s.
+    The time in s is unlimited by default; ValueError is raised if it is not positive. The part
+    `taken_s` was used before, and the part `to_write_s` is reserved for drawing and writing
+    results, both in s. The clock returns the time in s.
 
-    Attributes
-    ----------
-    not_tried : list of str
-        Parts of the work that were not tried.
-    is_interrupted : bool
-        True if Ctrl-C has ended the work.
-
-    Raises
-    ------
-    ValueError
-        If the time is not positive.
+    `not_tried` lists the parts of the work that were not tried, and `is_interrupted` is True if
+    Ctrl-C has ended the work.
     """
 
     def __init__(self, seconds: float | None = None,

@@ -40,9 +40,8 @@ class Command:
 
     name: str
     description: str
-
     add_options: Callable[[argparse.ArgumentParser], None]
-    """Adds the options to a parser."""
+
     work: str
     """``module:function``, imported and called with the parsed options. It returns the exit status,
     or None for 0."""
@@ -186,14 +185,8 @@ def print_next(options: argparse.Namespace, package: str, name: str, *arguments:
 def next_line(prog: str, package: str, name: str, *arguments: object) -> str:
     """Return the line that suggests the next command, in the form of the present one.
 
-    Parameters
-    ----------
-    prog : str
-        Name of the present command.
-    package, name : str
-        Package and name of the next command.
-    *arguments
-        Its arguments; those that begin with ``<`` are placeholders.
+    `prog` is the name of the present command; `package` and `name` are those of the next one. Its
+    arguments that begin with ``<`` are placeholders.
 
     Examples
     --------

@@ -11,27 +11,11 @@ from typing import Any
 def registered(group: str, own: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
     """Return the objects that can be chosen by name: the suite's own, then those of other packages.
 
-    Other packages announce theirs by entry points. Their code is imported at the look-up, so that a
-    broken package affects only those who use it.
-
-    Parameters
-    ----------
-    group : str
-        Group of the entry points, whose last part is the plural of what they provide, for
-        example ``piezo_models.effects``.
-    own : mapping of str to object, optional
-        The objects of this suite by their names.
-
-    Returns
-    -------
-    mapping of str to object
-        A look-up raises ValueError if the object cannot be imported, or if its attribute
-        ``name`` differs from the name of its entry point.
-
-    Raises
-    ------
-    ValueError
-        If two objects have the same name.
+    Other packages announce theirs by entry points. The last part of their group is the plural of
+    what they provide, for example ``piezo_models.effects``. Their code is imported at the look-up,
+    so that a broken package affects only those who use it: the look-up raises ValueError if the
+    object cannot be imported, or if its attribute ``name`` differs from the name of its entry
+    point. ValueError is raised at once if two objects have the same name.
     """
     known: dict[str, Any] = dict(own or {})
     points: dict[str, EntryPoint] = {}

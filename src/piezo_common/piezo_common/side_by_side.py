@@ -39,16 +39,11 @@ def side_by_side(work: Callable[[Item], Result], items: Sequence[Item],
                  threads: int | None = None) -> list[Result]:
     """Return the results of all items in their order, independent of the number of cores.
 
-    Parameters
-    ----------
-    work : callable
-        Must depend only on its item.
-    report : callable, optional
-        Called with the number of each item, in their order, in the caller's thread. An exception
-        that it raises, or Ctrl-C, ends the work at the next `check_cancelled` of the running items.
-    threads : int, optional
-        By default one for each core, but no more than `MOST_THREADS`; only one within an item that
-        itself runs in parallel with others, as the cores are busy.
+    The work must depend only on its item. `report` is called with the number of each item, in their
+    order, in the caller's thread. An exception that it raises, or Ctrl-C, ends the work at the next
+    `check_cancelled` of the running items. By default there is a thread for each core, but no more
+    than `MOST_THREADS`; there is only one within an item that itself runs in parallel with others,
+    as the cores are busy.
     """
     if threads is None:
         is_beside = getattr(_this_thread, "is_beside_others", False)

@@ -99,17 +99,10 @@ def replace_document(path: str | PathLike[str], document: Mapping[str, Any], kin
                      largest_bytes: int = LARGEST_BYTES) -> None:
     """Write a JSON file, and replace one of the same format only; see `replace_text`.
 
-    Parameters
-    ----------
-    document : mapping
-        Its entry ``format`` distinguishes the file from others.
-    kind : str
-        Name of such files in messages.
-    error : type
-        Raised, with the path, the cause, and what to do, if a file of another format is in its
-        place, a value is not finite, or the file cannot be written.
-    rendered : callable
-        Returns the text of the document.
+    The entry ``format`` of the document distinguishes the file from others. `kind` is the name of
+    such files in messages, and `rendered` returns the text of the document. Raise the given
+    `error`, with the path, the cause, and what to do, if a file of another format is in its place,
+    a value is not finite, or the file cannot be written.
     """
     check_may_replace(path, document["format"], kind, error, largest_bytes)
     try:
