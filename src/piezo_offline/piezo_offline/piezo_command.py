@@ -38,10 +38,7 @@ class _Version(argparse.Action):
 def main(arguments: list[str] | None = None) -> int:
     """Run the subcommand in the arguments.
 
-    Returns
-    -------
-    int
-        Exit status: that of the subcommand, 2 for invalid input, 130 after Ctrl-C.
+    Return the exit status: that of the subcommand, 2 for invalid input, 130 after Ctrl-C.
     """
     given = sys.argv[1:] if arguments is None else arguments
     if not given:

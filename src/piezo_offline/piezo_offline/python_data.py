@@ -135,16 +135,9 @@ def in_list(given: Any) -> list[Any]:
 def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
     """Return the given recordings of several axes; empty if they are of one axis.
 
-    Parameters
-    ----------
-    given : path-like, mapping of str to array, AxesRecording, or a list or tuple of such
-    name : str
-        Name for arrays.
-
-    Raises
-    ------
-    piezo_recorder.RecordingError
-        If a file or arrays of several axes are invalid.
+    `given` is a path, a mapping of str to array, an AxesRecording, or a list or tuple of such.
+    `name` is that of recordings from arrays. Raise piezo_recorder.RecordingError if a file or
+    arrays of several axes are invalid.
     """
     response = axes_response_in(given)
     if response is not None:
@@ -164,19 +157,10 @@ def axes_recordings_of(given: Any, name: str) -> list[AxesRecording]:
 def axes_data_of(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the given recordings or response of several axes; empty if they are of one axis.
 
-    Parameters
-    ----------
-    given : mapping of str to data
-        By what they show; those of "dynamics" may be one frequency response. None for no data.
-
-    Returns
-    -------
-    dict of str to list of AxesRecording, or AxesResponse
-
-    Raises
-    ------
-    piezo_recorder.RecordingError
-        If some are of one axis and others of several, or a file or arrays are invalid.
+    The data are given by what they show, with None for no data; those of "dynamics" may be one
+    frequency response. The values of the result are lists of AxesRecording, or an AxesResponse.
+    Raise piezo_recorder.RecordingError if some are of one axis and others of several, or a file or
+    arrays are invalid.
     """
     response = axes_response_in(given["dynamics"])
     found = {name: [axes_recordings_of(each, name) for each in in_list(data)]
@@ -205,11 +189,8 @@ def axes_response_in(given: Any) -> AxesResponse | None:
 def recordings_of(given: Any, columns: Sequence[str], name: str) -> list[Recording]:
     """Return one recording or several as a list; see `read`.
 
-    Parameters
-    ----------
-    given : as `read` takes, or a list or tuple of such
-    name : str
-        Name for arrays and frames, numbered if there are several.
+    `given` is what `read` takes, or a list or tuple of such. `name` is that of arrays and frames,
+    which are numbered if there are several.
     """
     listed = in_list(given)
     names = [f"{name} {number}" if number > 1 else name for number in range(1, len(listed) + 1)]
