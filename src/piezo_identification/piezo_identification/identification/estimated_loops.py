@@ -103,9 +103,9 @@ def estimate_loops(
 ) -> tuple[DensityEstimate, FirstRise | None, Mapping[str, Data]]:
     """Estimate the density, and the first-cycle remanence if a recording shows it.
 
-    The remanence is None unless it fits the recording that shows it far better, and all recordings
-    together no worse. The returned recordings are as if the stage had been cycled before each of
-    them.
+    The remanence is None unless it fits a recording of loops or creep far better, and all of them
+    together no worse: loops alone may explain it by the remainder of earlier creep. The returned
+    recordings are as if the stage had been cycled before each of them.
     """
     density = estimate_hysteresis_of(recordings, linear, options)
     shown = _shown_first_rises(recordings, linear)
@@ -115,14 +115,15 @@ def estimate_loops(
     first_rise = shown[key]
     cycled = _as_cycled(recordings, key, shown, linear, options)
     cycled_density = estimate_hysteresis_of(cycled, linear, options)
-    keys = keys_of_kind(recordings, "hysteresis")
+    keys = [name for kind in ("hysteresis", "creep") for name in keys_of_kind(recordings, kind)]
     without, within = (
         {name: after_saturation(fitted_model(linear, estimate, rise).model, recordings[name])
          for name in keys}
         for estimate, rise in ((density, None), (cycled_density, first_rise)))
     without_um, with_um = (
         np.linalg.norm([run.error_um() for run in runs.values()]) for runs in (without, within))
-    if with_um > without_um or not _is_far_better(within[key], without[key].error_um()):
+    if with_um > without_um or not any(
+            _is_far_better(within[name], without[name].error_um()) for name in keys):
         return density, None, recordings
     return cycled_density, first_rise, cycled
 

@@ -150,6 +150,29 @@ def test_it_is_not_taken_for_drift(recorded, stage):
     assert first_rise is None
 
 
+def test_creep_shows_what_loops_explain_by_the_remainder_of_earlier_creep(
+        independent_stage, recorded):
+    rates, gains = (0.1, 0.5, 2.0, 5.0, 12.0), (0.02, 0.02, 0.02, 0.02, 0.02)
+    stage = independent_stage(rates, gains)
+    stage.half_widths_v = np.linspace(1.0, 10.0, 4)
+    numerator = np.poly(-np.array(rates))
+    for place, (rate, gain) in enumerate(zip(rates, gains, strict=True)):
+        numerator = np.polyadd(
+            numerator, gain * rate * np.poly(-np.delete(np.array(rates), place)))
+    linear = LinearDynamics(creep=CreepDynamics(rates, tuple(np.sort(-np.roots(numerator)))))
+    loops_v = ways(
+        [0.0, 60.0, 0.0, *(v for low in range(6, 60, 6) for v in (60.0, low)), 0.0], 100)
+    steps_v = np.repeat([0.0, 40.0, 10.0, 60.0], 200)
+    given = {"hysteresis": recorded(
+        "loops", loops_v, stage.displacement_um(loops_v, 0.01), 0.01, NOISE_UM)}
+    _, alone, _ = estimate_loops(given, linear, GRID)
+    given["creep"] = recorded(
+        "steps", steps_v, stage.displacement_um(steps_v, 0.1), 0.1, NOISE_UM)
+    _, first_rise, _ = estimate_loops(given, linear, GRID)
+    assert alone is None
+    assert first_rise.whole_um == pytest.approx(true_remanence_um(stage, 60.0), rel=0.1)
+
+
 def test_what_is_taken_off_is_what_the_component_lacks(virgin, loops):
     _, first_rise, _ = loops
     left = without_first_rise(virgin, first_rise, CreepDynamics(), ElectricVibrationDynamics())
