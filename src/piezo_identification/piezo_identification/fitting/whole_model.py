@@ -97,7 +97,9 @@ class WholeFit:
     @property
     def numbers(self) -> int:
         """Return the number of estimated parameters, including those with a wide prior."""
+        rise = self.model.first_rise
         return (physical_count(self.model) + (self.delay_s is not None) + self.free_changes
+                + (0 if rise is None else len(rise.remanence_um) - 1)
                 + sum(fitted_values(effect)[0].size for effect in self.model.effects))
 
     @property

@@ -108,13 +108,10 @@ def estimate_loops(
     recordings are as if the stage had been cycled before each of them.
     """
     density = estimate_hysteresis_of(recordings, linear, options)
-    shown = _shown_first_rises(recordings, linear)
-    if not shown:
+    found = loops_with_first_rise(recordings, linear, options)
+    if found is None:
         return density, None, recordings
-    key = max(shown, key=lambda name: shown[name].whole_um)
-    first_rise = shown[key]
-    cycled = _as_cycled(recordings, key, shown, linear, options)
-    cycled_density = estimate_hysteresis_of(cycled, linear, options)
+    cycled_density, first_rise, cycled = found
     keys = [name for kind in ("hysteresis", "creep") for name in keys_of_kind(recordings, kind)]
     without, within = (
         {name: after_saturation(fitted_model(linear, estimate, rise).model, recordings[name])
@@ -126,6 +123,21 @@ def estimate_loops(
             _is_far_better(within[name], without[name].error_um()) for name in keys):
         return density, None, recordings
     return cycled_density, first_rise, cycled
+
+
+def loops_with_first_rise(
+    recordings: Mapping[str, Any], linear: LinearDynamics, options: DensityOptions,
+) -> tuple[DensityEstimate, FirstRise, Mapping[str, Data]] | None:
+    """Return what `estimate_loops` does, with the largest first rise that loops seem to show.
+
+    None if they show none.
+    """
+    shown = _shown_first_rises(recordings, linear)
+    if not shown:
+        return None
+    key = max(shown, key=lambda name: shown[name].whole_um)
+    cycled = _as_cycled(recordings, key, shown, linear, options)
+    return estimate_hysteresis_of(cycled, linear, options), shown[key], cycled
 
 
 def _is_far_better(run: SimulatedRecording, without_um: float) -> bool:

@@ -37,6 +37,7 @@ from piezo_identification.identification.estimated_loops import (
     CHOSEN_BY_DATA,
     DensityOptions,
     estimate_loops,
+    loops_with_first_rise,
     new_loops,
 )
 from piezo_identification.identification.first_runs import without_first_runs
@@ -55,7 +56,11 @@ from piezo_identification.identification.linear_dynamics import (
     fitted_model,
 )
 from piezo_identification.identification.notes import Detail, Implausible
-from piezo_identification.identification.one_fit import fitted_together, reliable
+from piezo_identification.identification.one_fit import (
+    FittedTogether,
+    fitted_together,
+    reliable,
+)
 from piezo_identification.identification.progress import IdentificationCancelled, Stages
 from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import (
@@ -179,17 +184,12 @@ def identify(
             conditioned = without_hum(conditioned, humming)
             with while_time_lasts("the separate steps without the hum", SECOND_PASS):
                 steps = _step_by_step(conditioned, order, density, stages, 0.2, 0.05)
-        linear, estimate, first_rise = steps.linear, steps.estimate, steps.first_rise
-        report_estimates(linear, estimate, note)
-        report_single_loop(of_kind(steps.recordings, "hysteresis"), estimate, note)
-        report_starts(steps.recordings, steps.cycled, linear, first_rise, note)
-        fitted, read_at = fitted_together(
-            steps.fitted,
-            conditioned if first_rise else without_first_runs(
-                conditioned, linear, steps.fitted.model.hysteresis),
-            steps.read_at,
-            partial(new_loops, conditioned, density, estimate) if of_kind(conditioned, "hysteresis")
-            and linear.estimates and not first_rise else None, order, stages.part(0.3, 0.65), note)
+        report_estimates(steps.linear, steps.estimate, note)
+        report_single_loop(of_kind(steps.recordings, "hysteresis"), steps.estimate, note)
+        steps, together = _fitted_with_or_without_first_rise(
+            steps, conditioned, order, density, stages, note)
+        fitted, read_at, linear = together.fitted, together.read_at, steps.linear
+        report_starts(steps.recordings, steps.cycled, linear, steps.first_rise, note)
         recordings, read_at = validation_as_read(
             fitted.model, conditioned, aligned(conditioned, read_at), read_at)
         rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
@@ -237,6 +237,52 @@ class _Steps:
     def fitted(self) -> FittedModel:
         """The model of the separate steps."""
         return fitted_model(self.linear, self.estimate, self.first_rise)
+
+
+def _fitted_with_or_without_first_rise(
+    steps: _Steps, conditioned: Mapping[str, Data], order: ResponseOrder, density: DensityOptions,
+    stages: Stages, note: Callable[[str], object],
+) -> tuple[_Steps, FittedTogether]:
+    """Fit the whole model, and again with a first rise that loops behind its dynamics seem to show.
+
+    The separate steps recognise a first rise only if their creep and dynamics are nearly right. The
+    better fit is returned, with the steps that it began with.
+    """
+    notes, other_notes = list[str](), list[str]()
+    together = _fitted(steps, conditioned, order, density, stages.part(0.3, 0.55), notes.append)
+    found, rival = None, together.fit
+    if steps.first_rise is None and rival is not None and not together.is_at_noise:
+        with while_time_lasts("a first rise, given the fit"):
+            recordings = aligned(conditioned, together.read_at)
+            linear = steps.linear.of_model(together.fitted.model)
+            found = loops_with_first_rise(recordings, linear, density)
+    if found is not None and rival is not None:
+        with while_time_lasts("the fit with a first rise"):
+            rising = _Steps(linear, together.read_at, recordings, steps.impossible, *found)
+            other = _fitted(rising, conditioned, order, density, stages.part(0.85, 0.1),
+                            other_notes.append)
+            # Neither has held-out rows any more.
+            if other.fit is not None and other.fit.evidence_over(rival) > 0.0:
+                steps, together, notes = rising, other, other_notes
+    for text in notes:
+        note(text)
+    return steps, together
+
+
+def _fitted(
+    steps: _Steps, conditioned: Mapping[str, Data], order: ResponseOrder, density: DensityOptions,
+    report: Callable[[str, float], object], note: Callable[[str], object],
+) -> FittedTogether:
+    """Fit the whole model from the results of the separate steps."""
+    renews_loops = (of_kind(conditioned, "hysteresis") and steps.linear.estimates
+                    and steps.first_rise is None)
+    return fitted_together(
+        steps.fitted,
+        conditioned if steps.first_rise else without_first_runs(
+            conditioned, steps.linear, steps.fitted.model.hysteresis),
+        steps.read_at,
+        partial(new_loops, conditioned, density, steps.estimate) if renews_loops else None,
+        order, report, note)
 
 
 def _step_by_step(conditioned: Mapping[str, Data], order: ResponseOrder, density: DensityOptions,

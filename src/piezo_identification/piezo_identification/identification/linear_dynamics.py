@@ -37,6 +37,7 @@ from piezo_identification.fitting.evidence import independent_errors, log_eviden
 from piezo_identification.fitting.whole_model import BEFORE_DELAY
 from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.hysteresis.first_rise import FirstRise
@@ -112,6 +113,15 @@ class LinearDynamics:
     def slow_delay_s(self) -> float:
         """Delay of slow signals in addition to those dynamics."""
         return slow_delay_s(self.dynamics, self.all_effects)
+
+    def of_model(self, model: StageModel) -> "LinearDynamics":
+        """Return the linear part of a fitted model, and its lags, in place of the estimates."""
+        delays = [effect for effect in model.effects if type(effect) is Delay]
+        return replace(
+            self, creep=model.creep, dynamics=model.dynamics, effect_deviations=(),
+            delay_s=sum(effect.delay_s for effect in delays),
+            effects=tuple(effect for effect in model.effects
+                          if not isinstance(effect, Delay | BoucWenHysteresis)))
 
     def with_creep(self, estimate: Estimate, read_at_samples: float) -> "LinearDynamics":
         """Return the model with the creep estimated from a recording."""

@@ -275,6 +275,19 @@ class _Search:
         return lambda what, fraction: self.report(what, begin + length * fraction)
 
 
+@dataclass(frozen=True, eq=False)
+class FittedTogether:
+    """The result of the fit of the whole model."""
+
+    fitted: FittedModel
+    """The best of all models that were tried, including the initial one."""
+    read_at: dict[str, float]
+    """Instants at which the rows of each recording are read, in sample periods."""
+    fit: WholeFit | None = None
+    """None if the model is that of the separate steps."""
+    is_at_noise: bool = False
+
+
 def _better(other: _State, state: _State) -> _State:
     return other if is_better(other.best, state.best) else state
 
@@ -284,21 +297,20 @@ def fitted_together(
     new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
-) -> tuple[FittedModel, dict[str, float]]:
+) -> FittedTogether:
     """Fit all parameters of a model together, and choose its structure by the evidence.
 
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
     `new_loops` estimates the hysteresis again with a fitted model; its second argument is the time
     in s by which each recording reads its rows late. It is None if no recording of loops was given.
-    Return the best of all models that were tried, including the initial one, and the instants as
-    fitted.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}
     responses = [data for data in recordings.values() if isinstance(data, FrequencyResponse)]
     if not any(experiment_of(name) != "validation" for name in samples):
-        return fitted, dict(read_at)  # The fit of the response is the fit of the whole model.
+        # The fit of the response is the fit of the whole model.
+        return FittedTogether(fitted, dict(read_at))
     used = _long_ones(fitted.model, {
         name: data for name, data in samples.items() if experiment_of(name) != "validation"})
     parts = {name: played(data) for name, data in used.items()}
@@ -322,7 +334,7 @@ def fitted_together(
                 experiment_of(name) == "hysteresis" for name in used))
     except ValueError as error:
         note(f"the model is that of the separate steps, as {error}")
-        return fitted, dict(read_at)
+        return FittedTogether(fitted, dict(read_at))
     search = _Search(
         problem, list(parts), fitted, read_late_s, new_loops, partial(_has_order, order), report)
     state = search.with_held_out_rows(search.best(delay_s or None))
@@ -334,10 +346,11 @@ def fitted_together(
         note(f"the model is that of the separate steps, as the fit of the whole model would read "
              f"rows of the {latest} {read_at_samples[latest]:.3g} sample periods after their "
              "voltage")
-        return fitted, dict(read_at)
+        return FittedTogether(fitted, dict(read_at))
     note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
                 partial(structure_figure, search.tried, best)))
-    return with_fit(state.fitted, best), dict(read_at) | read_at_samples
+    return FittedTogether(with_fit(state.fitted, best), dict(read_at) | read_at_samples, best,
+                          is_at_noise(state.problem, best))
 
 
 def _long_ones(model: StageModel, recordings: Mapping[str, Recording]) -> dict[str, Recording]:

@@ -33,11 +33,11 @@ def test_rows_that_were_taken_for_late_are_read_with_their_voltage(plant, play):
         ("hysteresis", play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1,
                             1000.0)))}
     nothing_visited = np.zeros(plant.hysteresis.density_um_per_v2.shape, dtype=bool)
-    fitted, read_at = fitted_together(
+    together = fitted_together(
         FittedModel(plant, {}, nothing_visited), recordings, {"dynamics": 0.25, "hysteresis": 0.0},
         None, ANY_ORDER, lambda *_: None, lambda _: None)
-    assert read_at == {"dynamics": 0.0, "hysteresis": 0.0}
-    assert not fitted.model.effects
+    assert together.read_at == {"dynamics": 0.0, "hysteresis": 0.0}
+    assert not together.fitted.model.effects
 
 
 def test_loops_that_were_taken_for_late_are_read_with_their_voltage(recorded):
@@ -49,13 +49,13 @@ def test_loops_that_were_taken_for_late_are_read_with_their_voltage(recorded):
     displacement_um = stage.simulate(voltage_v, 0.01)
     fast_um = stage.simulate(voltage_v, 1e-3)
     given = FittedModel(stage, {}, np.ones((5, 5), dtype=bool))
-    fitted, read_at = fitted_together(
+    together = fitted_together(
         given, {"hysteresis": recorded("loops", voltage_v, displacement_um, 0.01, 0.01),
                 "dynamics": recorded("fast", voltage_v, fast_um, 1e-3, 0.01)},
         {"hysteresis": 0.4, "dynamics": 0.0}, None, ANY_ORDER, lambda *_: None, lambda *_: None)
-    assert read_at == {"hysteresis": 0.0, "dynamics": 0.0}
+    assert together.read_at == {"hysteresis": 0.0, "dynamics": 0.0}
     np.testing.assert_allclose(
-        fitted.model.simulate(voltage_v, 0.01), displacement_um, atol=0.01)
+        together.fitted.model.simulate(voltage_v, 0.01), displacement_um, atol=0.01)
 
 
 def test_short_stretches_are_fitted_where_an_experiment_has_no_others_alone(plant, recorded):
@@ -72,9 +72,9 @@ def test_a_fit_that_would_read_rows_too_late_is_not_written_and_that_is_said(
     line = StageModel(PreisachModel.line(0.0, 10.0, 2.0), CreepDynamics(),
                       ElectricVibrationDynamics())
     given, notes = FittedModel(line, {}, np.ones((1, 1), dtype=bool)), list[str]()
-    fitted, read_at = fitted_together(
+    together = fitted_together(
         given, {"hysteresis": recorded("loops", voltage_v, 1.9 * voltage_v, 0.01)},
         {"hysteresis": 0.0}, None, ANY_ORDER, lambda *_: None, notes.append)
-    assert fitted is given
-    assert read_at == {"hysteresis": 0.0}
+    assert together.fitted is given
+    assert together.read_at == {"hysteresis": 0.0}
     assert len(notes) == 1 and "the model is that of the separate steps" in notes[0]

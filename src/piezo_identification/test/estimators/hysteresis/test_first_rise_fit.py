@@ -13,12 +13,18 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     estimate_first_rise,
     without_first_rise,
 )
-from piezo_identification.identification.estimated_loops import DensityOptions, estimate_loops
+from piezo_identification.identification import identify as identify_module
+from piezo_identification.identification.estimated_loops import (
+    DensityOptions,
+    estimate_hysteresis_of,
+    estimate_loops,
+)
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_identification.prediction import predict
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_models.cascade import StageModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder import recording_of
 
 PERIOD_S, NOISE_UM = 0.02, 0.003
 CYCLE_V = (0.0, 60.0, 0.0)
@@ -150,8 +156,9 @@ def test_it_is_not_taken_for_drift(recorded, stage):
     assert first_rise is None
 
 
-def test_creep_shows_what_loops_explain_by_the_remainder_of_earlier_creep(
-        independent_stage, recorded):
+@pytest.fixture(scope="module")
+def small_first_rise(independent_stage):
+    """A stage, its creep, and the voltage of loops that the remainder of creep may explain."""
     rates, gains = (0.1, 0.5, 2.0, 5.0, 12.0), (0.02, 0.02, 0.02, 0.02, 0.02)
     stage = independent_stage(rates, gains)
     stage.half_widths_v = np.linspace(1.0, 10.0, 4)
@@ -159,9 +166,14 @@ def test_creep_shows_what_loops_explain_by_the_remainder_of_earlier_creep(
     for place, (rate, gain) in enumerate(zip(rates, gains, strict=True)):
         numerator = np.polyadd(
             numerator, gain * rate * np.poly(-np.delete(np.array(rates), place)))
-    linear = LinearDynamics(creep=CreepDynamics(rates, tuple(np.sort(-np.roots(numerator)))))
-    loops_v = ways(
-        [0.0, 60.0, 0.0, *(v for low in range(6, 60, 6) for v in (60.0, low)), 0.0], 100)
+    turns_v = [0.0, 60.0, 0.0, *(v for low in range(6, 60, 6) for v in (60.0, low)), 0.0]
+    creep = CreepDynamics(rates, tuple(np.sort(-np.roots(numerator))))
+    return stage, LinearDynamics(creep=creep), ways(turns_v, 100)
+
+
+def test_creep_shows_what_loops_explain_by_the_remainder_of_earlier_creep(
+        small_first_rise, recorded):
+    stage, linear, loops_v = small_first_rise
     steps_v = np.repeat([0.0, 40.0, 10.0, 60.0], 200)
     given = {"hysteresis": recorded(
         "loops", loops_v, stage.displacement_um(loops_v, 0.01), 0.01, NOISE_UM)}
@@ -171,6 +183,26 @@ def test_creep_shows_what_loops_explain_by_the_remainder_of_earlier_creep(
     _, first_rise, _ = estimate_loops(given, linear, GRID)
     assert alone is None
     assert first_rise.whole_um == pytest.approx(true_remanence_um(stage, 60.0), rel=0.1)
+
+
+@pytest.mark.long
+def test_first_rise_that_the_separate_steps_miss_is_found_by_the_one_fit(
+        small_first_rise, monkeypatch):
+    stage, _, loops_v = small_first_rise
+    monkeypatch.setattr(identify_module, "estimate_loops", lambda recordings, *others: (
+        estimate_hysteresis_of(recordings, *others), None, recordings))
+
+    def played(voltage_v, period_s):
+        noise = NOISE_UM * np.random.default_rng(1).normal(size=voltage_v.size)
+        return recording_of({
+            "time_s": period_s * np.arange(voltage_v.size), "voltage_v": voltage_v,
+            "displacement_um": stage.displacement_um(voltage_v, period_s) + noise})
+
+    identified = identify_module.identify(
+        creep=played(np.repeat([0.0, 40.0, 10.0, 60.0], 200), 0.1),
+        hysteresis=played(loops_v, 0.01), density=GRID)
+    assert identified.model.first_rise.whole_um == pytest.approx(
+        true_remanence_um(stage, 60.0), rel=0.2)
 
 
 def test_what_is_taken_off_is_what_the_component_lacks(virgin, loops):
