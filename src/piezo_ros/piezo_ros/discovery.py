@@ -67,7 +67,7 @@ def _stays_here(profile: str) -> bool:
 
 @contextmanager
 def holding_back(topic: str, arguments: Sequence[str]) -> Iterator[None]:
-    """Let the node created meanwhile hold back the messages of a topic; it keeps all of them.
+    """Let the node created meanwhile hold back the messages of a topic, if any; it keeps all.
 
     By default a writer that keeps all its messages goes 5000 ahead of a slow reader. What does not
     fit into the socket of the reader is sent again and again, and answers to requests of the reader
@@ -78,7 +78,7 @@ def holding_back(topic: str, arguments: Sequence[str]) -> Iterator[None]:
     changed.
     """
     own = os.environ.get(PROFILES, "")
-    if own not in map(str, (LOOPBACK, NETWORK)):
+    if not topic or own not in map(str, (LOOPBACK, NETWORK)):
         yield
         return
     try:

@@ -7,7 +7,6 @@ import signal
 import sys
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import NoReturn
 
@@ -138,8 +137,7 @@ def _start(create_node: Callable[[], Node], args: list[str] | None, expendable: 
         _refuse(str(error).split(", at /")[0])
     reason = ""
     try:
-        with (holding_back(held_back, sys.argv if args is None else args)
-              if held_back else nullcontext()):
+        with holding_back(held_back, sys.argv if args is None else args):
             node = create_node()
         if expendable:
             _limit_memory(node)

@@ -250,20 +250,19 @@ def _fitted_with_or_without_first_rise(
     """
     notes, other_notes = list[str](), list[str]()
     together = _fitted(steps, conditioned, order, density, stages.part(0.3, 0.55), notes.append)
-    found, rival = None, together.fit
+    rival = together.fit
     if steps.first_rise is None and rival is not None and not together.is_at_noise:
         with while_time_lasts("a first rise, given the fit"):
             recordings = aligned(conditioned, together.read_at)
             linear = steps.linear.of_model(together.fitted.model)
             found = loops_with_first_rise(recordings, linear, density)
-    if found is not None and rival is not None:
-        with while_time_lasts("the fit with a first rise"):
-            rising = _Steps(linear, together.read_at, recordings, steps.impossible, *found)
-            other = _fitted(rising, conditioned, order, density, stages.part(0.85, 0.1),
-                            other_notes.append)
-            # Neither has held-out rows any more.
-            if other.fit is not None and other.fit.evidence_over(rival) > 0.0:
-                steps, together, notes = rising, other, other_notes
+            if found is not None:
+                rising = _Steps(linear, together.read_at, recordings, steps.impossible, *found)
+                other = _fitted(rising, conditioned, order, density, stages.part(0.85, 0.1),
+                                other_notes.append)
+                # The last fits have no held-out rows that could contradict the evidence.
+                if other.fit is not None and other.fit.evidence_over(rival) > 0.0:
+                    steps, together, notes = rising, other, other_notes
     for text in notes:
         note(text)
     return steps, together
