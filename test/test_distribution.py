@@ -2,7 +2,6 @@
 """The distribution at the root: what it asks for, what it holds, and that its command works."""
 
 import os
-import re
 import subprocess
 import sys
 import sysconfig
@@ -14,6 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
+from imported_packages import imported_packages
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -21,8 +21,6 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 HALF = {"piezo_common", "piezo_models", "piezo_recorder", "piezo_identification",
         "piezo_controller", "piezo_offline"}
-# To parse all sources takes seconds.
-IMPORT = re.compile(r"^ *(?:from (\w+)[\w.]* import|import (\w+))\b", re.M)
 OF_ROS = {"ament_index_python"}
 """Imported where ROS is there, and done without where it is not."""
 
@@ -39,8 +37,8 @@ def imported_libraries():
         for path in (ROOT / "src" / package / package).rglob("*.py"):
             if path.parent.name == "node":
                 continue
-            for match in IMPORT.finditer(path.read_text(encoding="utf-8")):
-                yield match[1] or match[2], path
+            for name in imported_packages(path):
+                yield name, path
 
 
 def test_it_asks_for_every_library_that_it_imports():

@@ -3,11 +3,11 @@
 
 import re
 import tomllib
-from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from imported_packages import imported_packages
 
 PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("src/*/setup.py"))
 # What rosdep knows, by its key; what comes from PyPI is named in a comment.
@@ -15,14 +15,7 @@ ROSDEP = {name: f"python3-{name}"
           for name in ("matplotlib", "numba", "numpy", "scipy", "sklearn", "yaml")}
 PYPI = {"bokeh", "control", "dask", "distributed", "h5py", "mcap", "nidaqmx", "nptdms", "pandas",
         "pyarrow", "pydantic", "rosbags", "shtab", "slycot", "threadpoolctl"}
-# To parse all sources takes seconds.
-IMPORT = re.compile(r"^ *(?:from (\w+)[\w.]* import|import (\w+))\b", re.M)
 ROS = re.compile(r"rclpy|ament_index_python|launch(_ros)?|\w+_(msgs|interfaces)|std_srvs|piezo_\w+")
-
-
-@cache
-def imported_packages(path):
-    return {match[1] or match[2] for match in IMPORT.finditer(path.read_text())}
 
 
 @pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import sys
-from functools import partial, partialmethod
+from functools import partialmethod
 from pathlib import Path
 
 import numpy as np
 import pytest
+from short_work import FEW_SCALINGS
 
-from piezo_controller.feedback import loop_measures
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.robustness import PlantErrors
-from piezo_controller.feedback.synthesis import dk_iteration
-from piezo_controller.feedback.synthesis.dk_iteration import tick_frequencies
 from piezo_controller.feedback.synthesis.weights import load_weights
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -62,11 +60,8 @@ def short_search():
     loop is measured at an eighth of them.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(dk_iteration, "tick_frequencies", partial(tick_frequencies, count=20))
-        patch.setattr(dk_iteration, "SEARCHED", 1)
-        patch.setattr(dk_iteration, "ITERATIONS", 2)
-        patch.setattr(loop_measures, "_frequencies",
-                      lambda tick_s: np.geomspace(0.1, 0.5 / tick_s, 1000))
+        for change in FEW_SCALINGS:
+            patch.setattr(*change)
         yield
 
 
