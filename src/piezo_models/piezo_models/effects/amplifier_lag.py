@@ -16,11 +16,12 @@ from piezo_models.effects.sensor_lag import SensorLag
 
 SETTLED, LONGEST = 0.087, 5.0
 """Limits of lags in front of the hysteresis, in rows. A lag below the first has settled within
-the row up to 1e-5 and acts behind the hysteresis (`as_rows_show`). Between them, a row is simulated
-in parts; a longer lag hardly moves within a row."""
+the row up to 1e-5 and acts behind the hysteresis (`as_rows_show`), unless it rings beyond the row.
+Between them, a row is simulated in parts; a longer lag hardly moves within a row."""
 
-LEAST_OVERSHOOT = 1e-3
-"""Smallest overshoot, relative to a step, that the hysteresis is given."""
+LEAST_OVERSHOOT = 1e-2
+"""Smallest overshoot, relative to a step, that the hysteresis is given. Its part in the loops is of
+the square of that."""
 
 PARTS = 8
 """Parts of a row in which a lag moves the voltage. A mode with half a period in a row then rings
@@ -110,7 +111,8 @@ def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Eff
     return tuple(
         SettledLag(effect.time_constant_s, of=effect)
         if isinstance(effect, Lag) and effect.place == "voltage"
-        and effect.time_constant_s <= SETTLED * sample_period_s else effect for effect in effects)
+        and effect.time_constant_s <= SETTLED * sample_period_s
+        and effect.ringing_s <= sample_period_s else effect for effect in effects)
 
 
 def lag_behind_hysteresis(effects: Iterable[Effect]) -> tuple[Effect, ...]:
@@ -126,6 +128,6 @@ def parts_of_rows(effects: Iterable[Effect], sample_period_s: float,
     The effects on the voltage are those of `as_rows_show`. A row that is a mean of several samples
     is not divided.
     """
-    moves = any(SETTLED < effect.time_constant_s / sample_period_s < LONGEST
-                for effect in effects if isinstance(effect, Lag))
+    moves = any(effect.time_constant_s < LONGEST * sample_period_s
+                for effect in effects if isinstance(effect, Lag) and effect.place == "voltage")
     return PARTS if moves and samples_per_mean == 1 else 1

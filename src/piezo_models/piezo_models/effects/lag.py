@@ -50,6 +50,11 @@ class Lag(Effect):
         """Return the delay of slow signals in s."""
         return self.time_constant_s
 
+    @property
+    def ringing_s(self) -> float:
+        """Return the time constant with which it rings out in s; 0 if it does not ring."""
+        return 0.0
+
     def _numerator(self) -> list[float]:
         """Return the coefficients of the filter's numerator, the highest power first."""
         return [1.0]

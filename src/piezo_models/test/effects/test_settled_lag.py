@@ -98,6 +98,16 @@ def test_a_lag_of_a_part_of_a_row_is_followed_within_it(rows):
     assert np.abs(found_um - true_um).max() < 0.01 * ringing_um
 
 
+def test_an_amplifier_that_rings_over_several_rows_is_followed_within_them():
+    effect = SecondOrderAmplifier(0.03 * ROW_S, 13.0)
+    voltage_v = np.repeat([0.0, 50.0, 20.0], 20)
+    true_um = finely_simulated_um(effect, voltage_v)
+    found_um, at_once_um = (
+        stage(effects).simulate(voltage_v, ROW_S) for effects in ((effect,), ()))
+    error_um, of_none_um = (np.abs(each - true_um).max() for each in (found_um, at_once_um))
+    assert error_um < 0.05 * of_none_um
+
+
 def test_parts_of_a_simulation_are_the_whole():
     model = stage((AmplifierLag(LAG_S),))
     voltage_v, memory = staircase_v(), model.memory(0.0)
