@@ -28,6 +28,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator
 from PIL import Image
+from replaced import replaced
 from undrawn import save_point
 
 from piezo_common import report_page, side_by_side
@@ -344,9 +345,12 @@ def without_pictures(monkeypatch):
 
 
 @pytest.fixture
-def without_ceiling(monkeypatch):
+def without_ceiling():
     """Train no learner on what a diagnosis leaves: it takes longer than most diagnoses."""
-    monkeypatch.setattr("piezo_identification.diagnosis.diagnose.ceiling_of", lambda *_: None)
+    from short_identification import WITHOUT_CEILING  # here, as it imports the identification
+
+    with replaced(*WITHOUT_CEILING):
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,6 +17,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
+from replaced import replaced
 from short_work import FEW_SCALINGS
 from std_srvs.srv import Trigger
 
@@ -403,9 +404,7 @@ def near_model():
 @pytest.fixture(scope="session")
 def near_controller(near_model):
     """Default feedback for ``near_model``, of few scalings."""
-    with pytest.MonkeyPatch.context() as patch:
-        for change in FEW_SCALINGS:
-            patch.setattr(*change)
+    with replaced(*FEW_SCALINGS):
         return design_feedback(near_model, load_weights())
 
 

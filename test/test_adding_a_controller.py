@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from piezo_interfaces.msg import SampleBlock
+from replaced import replaced
 from short_work import FEW_SCALINGS
 
 from piezo_controller.feedback.controller_file import (
@@ -77,13 +78,13 @@ def hum_left_um(model, controller):
 
 
 def test_controller_of_the_page_takes_off_the_hum_that_h_infinity_leaves(
-        plain_model, made, monkeypatch):
+        plain_model, made):
     controller = load_stabilising_controller(
         made, plain_model, STAGE.tick_s, STAGE.sample_period_s)
     assert hum_left_um(plain_model, controller) < 0.01 * HUM_UM
-    for change in FEW_SCALINGS:
-        monkeypatch.setattr(*change)
-    assert hum_left_um(plain_model, design_feedback(plain_model, load_weights())) > 0.9 * HUM_UM
+    with replaced(*FEW_SCALINGS):
+        feedback = design_feedback(plain_model, load_weights())
+    assert hum_left_um(plain_model, feedback) > 0.9 * HUM_UM
 
 
 def test_file_of_the_page_is_refused_at_another_tick_and_for_a_stage_that_changed(

@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from short_work import FEW_EFFECTS, FEW_POLES, WITHOUT_SEARCH
+from replaced import replaced
+from short_identification import FEW_EFFECTS, FEW_POLES, WITHOUT_SEARCH
 
 from piezo_identification.diagnosis import diagnose
 from piezo_identification.diagnosis.diagnose import compare_effects
@@ -69,8 +70,8 @@ def compared_once(monkeypatch):
         return compared[key]
 
     monkeypatch.setattr(diagnose, "compare_effects", compare_once)
-    for change in (*FEW_POLES, *WITHOUT_SEARCH, *FEW_EFFECTS):
-        monkeypatch.setattr(*change)
+    with replaced(*FEW_POLES, *WITHOUT_SEARCH, *FEW_EFFECTS):
+        yield
 
 
 @pytest.mark.filterwarnings("ignore:implausible")

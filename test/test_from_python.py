@@ -7,7 +7,9 @@ import math
 from pathlib import Path
 
 import pytest
-from short_work import FEW_EFFECTS, FEW_POLES, FEW_SCALINGS, WITHOUT_SEARCH
+from replaced import replaced
+from short_identification import FEW_EFFECTS, FEW_POLES, WITHOUT_SEARCH
+from short_work import FEW_SCALINGS
 
 from piezo_offline import steps
 from piezo_recorder.reading.recording import Recording
@@ -49,9 +51,8 @@ def computed_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(steps, "identify_recordings", identify_once)
         patch.setattr(steps, "diagnose_recordings", diagnose_once)
-        for change in (*FEW_SCALINGS, *FEW_POLES, *WITHOUT_SEARCH, *FEW_EFFECTS):
-            patch.setattr(*change)
-        yield
+        with replaced(*FEW_SCALINGS, *FEW_POLES, *WITHOUT_SEARCH, *FEW_EFFECTS):
+            yield
     assert len(identified) == len(diagnosed) == 1
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from replaced import replaced
 from short_work import FEW_SCALINGS
 
 from piezo_controller.feedback.feedback_design import design_feedback
@@ -59,9 +60,7 @@ def short_search():
     The structured singular value is computed at a third of the frequencies meanwhile, and the
     loop is measured at an eighth of them.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        for change in FEW_SCALINGS:
-            patch.setattr(*change)
+    with replaced(*FEW_SCALINGS):
         yield
 
 

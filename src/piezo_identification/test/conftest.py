@@ -3,21 +3,18 @@
 
 import os
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from replaced import replaced
 from scipy.signal import cont2discrete, lfilter
+from short_identification import FEW_POLES, WITHOUT_SEARCH, comparing
 
 from piezo_identification.conditioning.waveforms import played
-from piezo_identification.diagnosis.comparison import selection
 from piezo_identification.estimators.dynamics import pole_search
 from piezo_identification.estimators.dynamics.pole_search import MOST_MODES
-from piezo_identification.fitting import structure_search
-from piezo_identification.identification import one_fit
 from piezo_models.cascade import StageModel
-from piezo_models.effects import known_effects
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -60,9 +57,7 @@ def few_poles():
 
     `make long` and the tests of this search begin with as many as users do.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        if "LONG_TESTS" not in os.environ:
-            patch.setattr(pole_search, "MOST_MODES", 4)
+    with replaced(*(() if "LONG_TESTS" in os.environ else FEW_POLES)):
         yield
 
 
@@ -75,15 +70,20 @@ def many_poles(monkeypatch):
 @pytest.fixture(scope="session")
 def few_effects():
     """Returns a context in which a diagnosis compares few effects: it is not asked which of all."""
-    @contextmanager
-    def compared(*more):
-        names = {"delay", "sensor_lag", "vibration_mode", *more}
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(selection, "known_effects", lambda: {
-                name: kind for name, kind in known_effects().items() if name in names})
-            yield
+    return lambda *more: replaced(*comparing("delay", "sensor_lag", "vibration_mode", *more))
 
-    return compared
+
+@pytest.fixture
+def likely_effects():
+    """Compare the effects that are found most often: for tests not about which of all it is.
+
+    `make long` compares all.
+    """
+    few = () if "LONG_TESTS" in os.environ else comparing(
+        "amplifier_lag", "creep", "delay", "outliers", "periodic_disturbance", "sensor_lag",
+        "sensor_nonlinearity", "thermal_drift", "vibration_mode", "voltage_clipping")
+    with replaced(*few):
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -92,10 +92,7 @@ def without_search():
 
     From its first use to the end of the module.
     """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(one_fit, "searched", lambda problem, best, *_: (best, []))
-        for module in (one_fit, structure_search):
-            patch.setattr(module, "is_at_noise", lambda *_: True)
+    with replaced(*WITHOUT_SEARCH):
         yield
 
 
