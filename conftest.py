@@ -117,11 +117,17 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is marked ``long``, unless LONG_TESTS is set."""
+    """Leave out what is marked ``long``, unless LONG_TESTS is set; SHARED's files come last.
+
+    What they share is nodes that live from their first use to the end of the run, and are not
+    idle: they look after each other.
+    """
     left_out = [item for item in items if item.get_closest_marker("long") and not LONG]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item not in set(left_out)]
+    shared = set().union(*SHARED.values())
+    items.sort(key=lambda item: item.path.stem in shared)  # all others stay in their order
 
 
 def pytest_configure():

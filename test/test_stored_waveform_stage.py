@@ -37,7 +37,7 @@ def stage(stage_client, tmp_path_factory):
             str(ROOT / "src/piezo_stage_driver/config/pi_gcs_settings.yaml"),
             str(LONGEST_SAMPLES), "--ros-args", "-r", "__ns:=/stored", "-p", "autostart:=true",
             "-p", "timing:=paced", "-p", f"sample_rate_hz:={RATE_HZ}",
-            "-p", "exchange_timeout_s:=60.0"])
+            "-p", "samples_per_tick:=400", "-p", "exchange_timeout_s:=60.0"])
         for name in ("recorder", "identification"):
             processes.start(name, {"autostart": True}, "/stored")
         client = stage_client("/stored", processes)
