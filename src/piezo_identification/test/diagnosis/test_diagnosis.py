@@ -69,6 +69,7 @@ def test_noise_is_noise(plant, record):
     assert diagnosis.before == diagnosis.after
 
 
+@pytest.mark.usefixtures("likely_effects")
 def test_where_only_other_parameters_leave_noise_the_extended_model_has_them(plant, record):
     off = replace(plant, dynamics=replace(
         plant.dynamics, time_constant_s=1.03 * plant.dynamics.time_constant_s))
@@ -116,6 +117,7 @@ def test_two_effects_are_found_one_after_the_other(plant, record):
     assert strengths == sorted(strengths, reverse=True)
 
 
+@pytest.mark.usefixtures("likely_effects")
 @pytest.mark.parametrize("part_of_span", [
     0.02, pytest.param(0.0, marks=pytest.mark.long)])
 def test_a_soft_limit_is_found_below_and_at_the_highest_voltage(

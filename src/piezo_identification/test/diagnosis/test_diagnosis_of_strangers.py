@@ -21,7 +21,7 @@ from piezo_models.identified_model import IdentifiedModel
 from piezo_models.model_file import load_model, save_model
 from piezo_recorder.reading.reader import read_recording
 
-pytestmark = pytest.mark.usefixtures("without_ceiling")
+pytestmark = pytest.mark.usefixtures("without_ceiling", "likely_effects")
 
 NOISE_UM = 2e-3
 PERIOD_S = 1e-3

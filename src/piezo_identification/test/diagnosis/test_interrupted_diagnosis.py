@@ -15,6 +15,8 @@ from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
+pytestmark = pytest.mark.usefixtures("likely_effects")
+
 PERIOD_S = 1e-3
 
 

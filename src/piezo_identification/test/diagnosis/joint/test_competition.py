@@ -25,6 +25,8 @@ from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 
+pytestmark = pytest.mark.usefixtures("likely_effects")
+
 SAMPLES, NOISE_UM = 1500, 2e-3
 MODE_RAD_PER_S, DAMPING_RATIO = 400.0, 0.1
 OTHER_MODE = (250.0, 0.02, 0.02)

@@ -23,6 +23,7 @@ def scan():
     return logged(voltage_v, displacement_um + noise_um)
 
 
+@pytest.mark.usefixtures("likely_effects")
 def test_a_lag_and_a_delay_of_one_phase_are_as_probable():
     diagnosis = diagnose(MODEL, [scan()])
     shares = diagnosis.probabilities

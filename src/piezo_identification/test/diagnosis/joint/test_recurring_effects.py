@@ -58,6 +58,7 @@ def test_hum_that_was_there_all_along_has_a_phase_of_its_own_in_every_recording(
         MODE_RAD_PER_S, rel=1e-3)
 
 
+@pytest.mark.usefixtures("likely_effects")
 def test_hum_that_came_later_is_not_in_the_identification():
     new, *old = recording(1, hum), recording(2)
     diagnosis = diagnose(LINE, [new], identified_from=IdentificationRecordings(tuple(old), ()))

@@ -16,7 +16,7 @@ from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS, JointFit, JointProblem
 from piezo_identification.simulation import past_search
 
-pytestmark = pytest.mark.usefixtures("without_ceiling")
+pytestmark = pytest.mark.usefixtures("without_ceiling", "likely_effects")
 
 SAMPLES, NOISE_UM = 1800, 2e-3
 MODE = (400.0, 0.1)
