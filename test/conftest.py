@@ -18,7 +18,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.msg import FeedbackVoltage, SampleBlock
 from piezo_interfaces.srv import LoadFeedforward, StartRecording, StartTracking, StopRecording
 from replaced import replaced
-from short_work import FEW_SCALINGS
+from short_design import FEW_SCALINGS
 from std_srvs.srv import Trigger
 
 from piezo_bringup.processes import USUAL_NODES, Processes

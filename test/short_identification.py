@@ -4,9 +4,14 @@
 Each is a tuple of (owner, name, what stands there instead).
 """
 
+from functools import partial
+
 from piezo_identification.diagnosis import diagnose
 from piezo_identification.diagnosis.comparison import selection
+from piezo_identification.diagnosis.experiment_design import propose
+from piezo_identification.diagnosis.experiment_design.propose import grid
 from piezo_identification.estimators.dynamics import pole_search
+from piezo_identification.experiments import several_axes
 from piezo_identification.fitting import structure_search
 from piezo_identification.identification import one_fit
 from piezo_identification.identification.estimated_loops import DensityOptions
@@ -38,3 +43,13 @@ def comparing(*names):
 FEW_EFFECTS = (*WITHOUT_CEILING, *comparing(
     "amplifier_lag", "delay", "sensor_lag", "vibration_mode", "voltage_clipping"))
 """That a diagnosis compares, and no learner of what it leaves."""
+
+FEW_WAVEFORMS = (
+    (propose, "grid", lambda: [point for point in grid() if point.family.name == "sweep"][-2:]),
+    (propose, "FACTORS", ()))
+"""Among which the next experiment is chosen: two sweeps, as they are."""
+
+SHORT_PERIODS = (
+    (several_axes, "orthogonal_multisines",
+     partial(several_axes.orthogonal_multisines, period_s=0.1)),)
+"""Of the multisines of several axes, with lines every 10 Hz."""

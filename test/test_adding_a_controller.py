@@ -12,7 +12,7 @@ import pytest
 import yaml
 from piezo_interfaces.msg import SampleBlock
 from replaced import replaced
-from short_work import FEW_SCALINGS
+from short_design import FEW_SCALINGS
 
 from piezo_controller.feedback.controller_file import (
     ControllerFileError,

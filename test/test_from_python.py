@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from replaced import replaced
+from short_design import FEW_SCALINGS
 from short_identification import FEW_EFFECTS, FEW_POLES, WITHOUT_SEARCH
-from short_work import FEW_SCALINGS
 
 from piezo_offline import steps
 from piezo_recorder.reading.recording import Recording

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from replaced import replaced
-from short_work import FEW_SCALINGS
+from short_design import FEW_SCALINGS
 
 from piezo_controller.feedback.feedback_design import design_feedback
 from piezo_controller.feedback.robustness import PlantErrors

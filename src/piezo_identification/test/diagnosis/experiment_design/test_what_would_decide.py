@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from replaced import replaced
+from short_identification import FEW_WAVEFORMS
 
 from piezo_identification.commands.diagnose_command import main
 from piezo_identification.diagnosis.experiment_design import propose as module
-from piezo_identification.diagnosis.experiment_design.propose import grid
 from piezo_identification.diagnosis.report import diagnosis_results
 from piezo_identification.experiments.catalogue import Experiment
 from piezo_models.effects.delay import Delay
@@ -34,12 +35,9 @@ def test_several_remain_where_no_explanation_of_the_list_is_sure(shares, not_tol
 
 
 @pytest.fixture
-def few_waveforms(monkeypatch):
-    design = "piezo_identification.diagnosis.experiment_design.propose."
-    points = [point for point in grid() if point.family.name == "sweep"][-2:]
-    monkeypatch.setattr(design + "grid", lambda: points)
-    monkeypatch.setattr(design + "FACTORS", ())
-    return points
+def few_waveforms():
+    with replaced(*FEW_WAVEFORMS):
+        yield module.grid()
 
 
 @pytest.fixture

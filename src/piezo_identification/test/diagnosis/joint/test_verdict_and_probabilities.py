@@ -74,6 +74,7 @@ def test_the_verdict_follows_from_the_probabilities(
     assert (shares["something_else"] >= 0.5) is (verdict == "unexplained")
 
 
+@pytest.mark.long
 def test_what_is_expensive_is_asked_for_seldom(monkeypatch):
     pasts, fits, derivatives = [], [], []
 

@@ -12,8 +12,6 @@ from piezo_identification.estimators.dynamics.fast_record import FastFit, FastRe
 from piezo_identification.estimators.dynamics.pole_search import free_fits
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 
-pytestmark = pytest.mark.usefixtures("many_poles")
-
 PERIOD_S, COUNT, MODE_RAD_PER_S = 1e-4, 12_000, 4660.0
 
 
