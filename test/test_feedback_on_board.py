@@ -17,7 +17,7 @@ from piezo_recorder.reading.reader import read_recording
 
 REFERENCE = {"kind": "harmonic", "frequency_hz": [40.0], "amplitude_um": [20.0], "centre_um": 50.0}
 LOOPS = ("onboard", "remote")
-DURATION_S = 0.3
+DURATION_S = 0.15
 TICK = 40
 MOST_RUNS = 50
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from piezo_interfaces.msg import FeedbackLaw, Reference, SampleBlock, StateSpace
 from piezo_interfaces.srv import LoadFeedback, ReplaceFeedforward, StartTracking
+from replaced import replaced
+from short_design import FEW_SCALINGS
 
 from piezo_client.client import GoalFailed
 from piezo_client.model_offers import accept_extended_model
@@ -42,8 +44,9 @@ def files(near_model, tmp_path_factory):
             hysteresis, density_um_per_v2=0.6 * hysteresis.density_um_per_v2))}
     for name, model in models.items():
         save_model(directory / f"{name}.json", IdentifiedModel(model, (-20.0, 120.0)))
-    save_controller(directory / "controller.json", design_feedback(
-        near_model, load_weights(), delay_ticks=0))
+    with replaced(*FEW_SCALINGS):
+        save_controller(directory / "controller.json", design_feedback(
+            near_model, load_weights(), delay_ticks=0))
     return directory, models
 
 

@@ -74,9 +74,10 @@ def modules(package):
 
 def refusals_of(path):
     """Rows of the refusals in a module, in the order of their lines."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    usual_cure = cure_of_refuser(tree)
-    for node in sorted(statements(tree), key=lambda node: node.lineno):
+    nodes = statements(ast.parse(path.read_text(encoding="utf-8")))
+    usual_cure = cure_of_refuser(nodes)
+    refusing = [node for node in nodes if isinstance(node, (ast.Raise, ast.Call, ast.Assign))]
+    for node in sorted(refusing, key=lambda node: node.lineno):
         text = refusal(node)
         if text and re.sub("<.*?>|[^a-z]", "", text):
             problem, cure = parted(text)
@@ -85,9 +86,9 @@ def refusals_of(path):
             yield row(problem, cure, f"`{module_name(path)}`")
 
 
-def cure_of_refuser(tree):
+def cure_of_refuser(nodes):
     """What a module's own function of `REFUSERS` says to do whatever the problem; may be empty."""
-    for node in statements(tree):
+    for node in nodes:
         if isinstance(node, ast.FunctionDef) and node.name in REFUSERS:
             for text in filter(None, map(refusal, statements(node))):
                 cure = parted(text)[1]

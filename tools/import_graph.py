@@ -56,7 +56,7 @@ def imports_between_rooms(source: Path) -> Edges:
 
 def imported(path: Path) -> Iterable[str]:
     """Yield the dotted names of our own that a module imports."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
         names = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -64,6 +64,14 @@ def imported(path: Path) -> Iterable[str]:
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         yield from (name for name in names
                     if name.startswith("piezo_") and not name.startswith(NOT_LISTED))
+
+
+def statements(node: ast.AST) -> Iterable[ast.AST]:
+    """Yield all statements below a node, without the expressions in them, which are far more."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, (ast.stmt, ast.excepthandler, ast.match_case)):
+            yield child
+            yield from statements(child)
 
 
 def listed(imports: Edges) -> str:

@@ -77,7 +77,8 @@ def fitted(recordings):
     return fit_to_all(start(0.1), recordings)
 
 
-@pytest.mark.parametrize("bouc_wen", [None, BoucWenHysteresis(3.0, 15.0, unloading=0.7)])
+@pytest.mark.parametrize("bouc_wen", [
+    pytest.param(None, marks=pytest.mark.long), BoucWenHysteresis(3.0, 15.0, unloading=0.7)])
 def test_derivatives_are_those_of_the_function(recordings, bouc_wen):
     first, other = TRUE.actuators
     stage = start(0.05, replace(TRUE, actuators=(first, replace(other, bouc_wen=bouc_wen))))

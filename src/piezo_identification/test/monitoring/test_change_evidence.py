@@ -30,9 +30,10 @@ def first_report(values, threshold):
                  if (change := evidence.add(value, EXPECTED)).logarithm > threshold), None)
 
 
-def test_false_alarms_are_no_more_than_stated():
+@pytest.mark.parametrize("draws", [15, pytest.param(40, marks=pytest.mark.long)])
+def test_false_alarms_are_no_more_than_stated(draws):
     mean_run, counts = 200, []
-    for seed in range(40):
+    for seed in range(draws):
         found = first_report(drawn(4 * mean_run, seed), np.log(mean_run))
         counts.append(4 * mean_run if found is None else found[0] + 1)
     assert np.mean(counts) > mean_run
