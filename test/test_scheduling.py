@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Files that share the suite run in one process, and a process that crashes holds nobody up."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -77,6 +78,18 @@ def test_process_that_takes_over_a_single_test_from_one_that_crashed_runs_it(sch
     scheduling.schedule()
     assert run_all(scheduling, [other, successor], ALONE) == [[ALONE[1]], [ALONE[0]]]
     assert scheduling.tests_finished
+
+
+def item(nodeid):
+    return SimpleNamespace(nodeid=nodeid, path=Path(nodeid.partition("::")[0]),
+                           get_closest_marker=lambda name: None)
+
+
+def test_files_that_share_nodes_come_last_and_all_others_stay_in_their_order(request):
+    listed = request.config.pluginmanager.get_plugin(str(request.config.rootpath / "conftest.py"))
+    items = [item(nodeid) for nodeid in (SHARING[0], ALONE[1], SHARING[2], ALONE[0])]
+    listed.pytest_collection_modifyitems(request.config, items)
+    assert [each.nodeid for each in items] == [ALONE[1], ALONE[0], SHARING[0], SHARING[2]]
 
 
 def test_every_file_that_shares_nodes_or_what_they_identified_is_listed(request):
