@@ -148,7 +148,7 @@ def test_a_mode_in_series_that_an_antiresonance_cancels_is_left_out_with_it(plan
 def test_creep_that_is_missing_is_found_without_fast_recordings(plant, play):
     stage = replace(plant, dynamics=ElectricVibrationDynamics(0.0))
     parts = [play(experiments.creep(period_s=60.0), 1, 100.0, stage=stage),
-             play(experiments.hysteresis(level_count=8, harmonic_period_s=1.0), 1, 1000.0,
+             play(experiments.hysteresis(level_count=6, harmonic_period_s=0.5), 1, 1000.0,
                   stage=stage)]
     slower = replace(stage, creep=CreepDynamics(*(
         rates[:2] for rates in (stage.creep.poles_rad_per_s, stage.creep.zeros_rad_per_s))))
