@@ -99,7 +99,7 @@ def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bo
         return Actuator(None, best.model.creep)
     if not is_at_noise(problem, best):
         drifting, fit, _ = fitted_with_bouc_wen(problem, best)
-        best = fit if is_better(fit, best) and drifting.is_possible(fit) else best
+        best = best if drifting.why_impossible(fit) or not is_better(fit, best) else fit
     loops = next((each for each in best.model.effects if isinstance(each, BoucWenHysteresis)), None)
     return Actuator(best.model.hysteresis, best.model.creep, bouc_wen=loops)
 

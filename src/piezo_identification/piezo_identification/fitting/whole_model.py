@@ -353,9 +353,10 @@ class WholeModel:
                    out=self._counts)
         return fit
 
-    def is_possible(self, fit: WholeFit) -> bool:
-        """Return whether a stage can have all effects of a fit; see `Effect.impossible`."""
-        return not any(effect.impossible(self._dataset.extent) for effect in fit.model.effects)
+    def why_impossible(self, fit: WholeFit) -> str | None:
+        """Return why no stage can have all effects of a fit; see `Effect.impossible`."""
+        reasons = (effect.impossible(self._dataset.extent) for effect in fit.model.effects)
+        return next(filter(None, reasons), None)
 
     def over_noise(self, fit: WholeFit) -> FloatArray:
         """Return the residual of each recording and response over its noise and accuracy, (R,)."""

@@ -203,7 +203,7 @@ class _Search:
             self.report(BOUC_WEN, fraction)
             problem, best, tried = fitted_with_bouc_wen(state.problem, state.best)
             self.tried.extend(tried)
-            if problem.is_possible(best):
+            if not problem.why_impossible(best):
                 return replace(
                     state, fitted=self._given_with_line(problem), best=best, problem=problem)
         return state
@@ -243,7 +243,7 @@ class _Search:
         best, changed = searched(
             start.problem, start.best, self._part(begin, length), self.is_asked_for)
         self.tried.extend(changed)
-        return replace(start, best=best) if start.problem.is_possible(best) else start
+        return start if start.problem.why_impossible(best) else replace(start, best=best)
 
     def _with_renewed_loops(self, before: _State, fraction: float,
                             width: float = WIDE_PRIOR) -> _State:
@@ -347,6 +347,11 @@ def fitted_together(
              f"rows of the {latest} {read_at_samples[latest]:.3g} sample periods after their "
              "voltage")
         return FittedTogether(fitted, dict(read_at))
+    change, closest = max(search.tried, key=lambda entry: entry[1].evidence_over(best))
+    why = problem.why_impossible(closest)
+    if why and closest.evidence_over(best) > DECISIVE:
+        note(f"{change} describes the recordings better than the model that is written, but {why}: "
+             "check that their rows of voltage and displacement belong together")
     note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
                 partial(structure_figure, search.tried, best)))
     return FittedTogether(with_fit(state.fitted, best), dict(read_at) | read_at_samples, best,

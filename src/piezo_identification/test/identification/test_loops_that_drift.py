@@ -29,13 +29,13 @@ def curve_um(acting_v):
     return GAIN_UM_PER_V * (acting_v + 0.002 * (acting_v - 50.0) ** 2)
 
 
-def measured(voltage_v, seed, taken_v=0.0):
+def measured(voltage_v, seed, taken_v=0.0, saturation_v=SATURATION_V):
     """Solve the equation of Dahl from row to row, and add noise."""
     taken_v, last_v = [taken_v], voltage_v[0]
     for next_v in voltage_v[1:]:
         sign = np.sign(next_v - last_v)
         taken_v.append(solve_ivp(
-            lambda _, z, sign=sign: (SATURATION_V * sign - z) / RELAXATION_V,
+            lambda _, z, sign=sign: (saturation_v * sign - z) / RELAXATION_V,
             (0.0, abs(next_v - last_v)), taken_v[-1:], rtol=1e-8).y[0, -1])
         last_v = next_v
     noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(voltage_v.size)
@@ -43,14 +43,20 @@ def measured(voltage_v, seed, taken_v=0.0):
                          "displacement_um": curve_um(voltage_v - taken_v) + noise_um})
 
 
-@pytest.fixture(scope="module")
-def identified():
-    """The stage identified from loops, and from larger steps that show no shape of a loop."""
+def identified_from_loops(saturation_v=SATURATION_V, note=lambda _: None):
+    """Identify a stage from loops, and from larger steps that show no shape of a loop."""
     steps_v = np.repeat([50.0, 1.0, 99.0, 50.0], 30)
     sizes_v = np.linspace(48.0, 4.0, 12)
     levels_v = 50.0 + np.r_[0.0, np.column_stack([sizes_v, -sizes_v]).ravel(), 0.0]
-    return identify(creep=measured(steps_v, 4), hysteresis=measured(turning(levels_v, 1000), 1),
-                    density=DensityOptions(20, 1e-10, 1e-10))
+    steps, loops = (measured(voltage_v, seed, 0.0, saturation_v) for voltage_v, seed in (
+        (steps_v, 4), (turning(levels_v, 1000), 1)))
+    return identify(creep=steps, hysteresis=loops, density=DensityOptions(20, 1e-10, 1e-10),
+                    note=note)
+
+
+@pytest.fixture(scope="module")
+def identified():
+    return identified_from_loops()
 
 
 def test_the_equation_is_found_with_its_parameters(identified):
@@ -75,6 +81,14 @@ def test_the_past_of_a_recording_is_found(identified, taken_v):
     unseen = measured(turning(levels_v, 400), 3, taken_v)
     noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
     assert unseen_errors(identified.model, unseen)["e_y_percent"] < 1.5 * noise_percent
+
+
+def test_loops_that_go_back_are_not_written_and_the_reason_is_reported():
+    notes = []
+    model = identified_from_loops(saturation_v=0.55 * RELAXATION_V, note=notes.append).model
+    assert not any(isinstance(effect, BoucWenHysteresis) for effect in model.effects)
+    assert any("better than the model that is written, but the stage would go back" in each
+               for each in notes)
 
 
 def test_the_summary_does_not_say_that_there_is_no_hysteresis(identified):
