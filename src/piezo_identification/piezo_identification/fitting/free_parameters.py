@@ -319,16 +319,20 @@ def _behind_effects(effects: Sequence[Effect], part: SimulatedRecording, signal_
     return signal_um
 
 
-def pieces_of(hysteresis: PreisachModel) -> list[PreisachModel]:
-    """Return the change of the hysteresis for one width of each of its parameters."""
+@lru_cache(maxsize=KEPT)
+def pieces_of(hysteresis: PreisachModel) -> tuple[PreisachModel, ...]:
+    """Return the change of the hysteresis for one width of each of its parameters.
+
+    They are cached with their tables, because every recording is simulated with them.
+    """
     surfaces, hats = _shapes(hysteresis)
     density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v
     gain = WIDTHS.reversible * _mean_gain(hysteresis)
     shares = [(WIDTHS.factor * density * surface.toarray().reshape(density.shape), nothing)
               for surface in surfaces.T]
     shares += [(0.0 * density, gain * hat) for hat in hats]
-    return [replace(hysteresis, density_um_per_v2=density, reversible_um_per_v=reversible,
-                    offset_um=0.0) for density, reversible in shares]
+    return tuple(replace(hysteresis, density_um_per_v2=density, reversible_um_per_v=reversible,
+                         offset_um=0.0) for density, reversible in shares)
 
 
 @lru_cache(maxsize=KEPT)
