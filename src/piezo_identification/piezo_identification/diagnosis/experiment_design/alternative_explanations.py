@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_common.cancellation import check_cancelled
+from piezo_common.long_matrix import triangle_of
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.diagnosis.comparison.criteria import Reason
-from piezo_identification.diagnosis.evidence.effect_covariance import sensitivities
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
@@ -60,9 +61,14 @@ class WeighedAlternative(Alternative):
         return self.evidence.label
 
     @property
+    def own(self) -> Effects:
+        """Return the effects that the model already had."""
+        return self.fit.effects[: len(self.fit.effects) - len(self.names)]
+
+    @property
     def effects(self) -> Effects:
         """Return the effects without those that the model already had."""
-        return self.fit.effects[len(self.fit.effects) - len(self.names) :]
+        return self.fit.effects[len(self.own) :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,10 +271,12 @@ def _probable(regression: Regression, found: Effects,
 
 def _information(fit: JointFit) -> FloatArray:
     """Square root of the information on model parameters and effects, with the prior."""
-    regression = fit.regression
-    of_effects = -sensitivities(regression.difference, fit.effects)
-    columns = np.hstack([regression.weighted, of_effects])[regression.estimation]
+    check_cancelled()  # a fit that the end of the time interrupts has no derivatives
+    regression, of_effects = fit.regression, fit.columns_of_effects
+    assert of_effects is not None
+    columns = np.hstack([regression.dataset.regressors, of_effects])[regression.estimation]
+    columns /= regression.tolerance_um[regression.estimation, np.newaxis]
     prior = np.hstack([regression.prior, np.zeros((len(regression.prior), of_effects.shape[1]))])
-    root = np.asarray(np.linalg.qr(np.vstack([columns, prior]), mode="r"))
+    root = triangle_of(np.vstack([columns, prior]))
     nuisance = regression.dataset.nuisance_count
     return np.asarray(root[nuisance:, nuisance:])

@@ -10,9 +10,11 @@ models, Technometrics 9, 1967).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
+from piezo_common.long_matrix import triangle_of
 from piezo_identification.diagnosis.evidence.effect_covariance import sensitivities
 from piezo_identification.diagnosis.experiment_design.alternative_explanations import (
     Alternatives,
@@ -23,6 +25,7 @@ from piezo_identification.fitting.dataset import SPLIT, simulate_recordings
 from piezo_identification.fitting.free_parameters import free_sensitivities
 from piezo_identification.fitting.regression import SETTINGS
 from piezo_identification.simulation.past_search import simulated_recording
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
 
@@ -53,13 +56,18 @@ class ExpectedOutcome:
                 float(self.rms_um[apart].min()))
 
 
-def expected_outcome(alternatives: Alternatives, experiment: Experiment,
-                     limits: StageLimits) -> ExpectedOutcome:
-    """Simulate a waveform with each alternative, and compare them."""
+def expected_outcome(alternatives: Alternatives, experiment: Experiment, limits: StageLimits,
+                     is_refitted: bool = True) -> ExpectedOutcome:
+    """Simulate a waveform with each alternative, and compare them.
+
+    Without refitting, the parameters of the wrong alternative are fixed. That takes a fraction of
+    the time, and alternatives are then at least as far apart.
+    """
     known, count = alternatives.alternatives, len(alternatives.alternatives)
     problem, unplayed = alternatives.problem, _unplayed(experiment, limits)
     dataset = simulate_recordings(
-        problem.dataset.model, [unplayed], past_v=(), sensitivities=free_sensitivities)
+        problem.dataset.model, [unplayed], past_v=(),
+        sensitivities=free_sensitivities if is_refitted else _no_sensitivities)
     rows = dataset.rows[0]
     parts = [simulated_recording(alternative.fit.regression.dataset.model, unplayed, ())
              for alternative in known]
@@ -69,19 +77,23 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
         _noise_um(alternatives, dataset.simulated[0].sample_period_s),
         SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions),
         alternatives.misfit * max(np.std(predicted) for predicted in predictions)], dtype=float))
-    of_effects = [sensitivities(
-        lambda effects, part=part: part.simulate(effects)[rows], alternative.fit.effects)
-        for part, alternative in zip(parts, known, strict=True)]
+    regressors, of_effects = dataset.regressors, [np.zeros((rows.size, 0))] * count
+    if is_refitted:
+        # The model with its own effects is nearly the same in all of them.
+        regressors = np.hstack([regressors, sensitivities(
+            lambda own: dataset.simulated[0].simulate(own)[rows], problem.own)])
+        of_effects = [sensitivities(
+            lambda added, part=part, own=alternative.own: part.simulate((*own, *added))[rows],
+            alternative.effects) for part, alternative in zip(parts, known, strict=True)]
     # In an orthonormal basis of all of them, the rows of the waveform become few.
-    shared, *columns = _in_common_basis([dataset.regressors, *of_effects, *(
+    shared, *columns = _in_common_basis([regressors, *of_effects, *(
         (predicted / error_um)[:, np.newaxis] for predicted in predictions)])
     own, predicted = columns[:count], columns[count:]
     rms_um, distance = np.zeros((count, count)), np.zeros((count, count))
     for other, alternative in enumerate(known):
-        root = alternative.information
+        fitted, root = np.hstack([shared, own[other]]) / error_um, alternative.information
         before = np.hstack([np.zeros((len(root), dataset.nuisance_count)), root])
-        basis, _ = np.linalg.qr(np.vstack([
-            np.hstack([shared, own[other]]) / error_um, before]))
+        basis, _ = np.linalg.qr(np.vstack([fitted, before[:, : fitted.shape[1]]]))
         for true in set(range(count)) - {other}:
             difference = np.concatenate([
                 predicted[true][:, 0] - predicted[other][:, 0], np.zeros(len(root))])
@@ -96,9 +108,14 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment,
     return ExpectedOutcome(rms_um, distance, deciding, min(float(deciding @ chances), 1.0))
 
 
+def _no_sensitivities(_: SimulatedRecording, rows: NDArray[np.intp]) -> FloatArray:
+    """Return no columns, for fixed parameters."""
+    return np.zeros((rows.size, 0))
+
+
 def _in_common_basis(columns: list[FloatArray]) -> list[FloatArray]:
     """Return the columns in an orthonormal basis of all of them, which keeps their products."""
-    triangle = np.linalg.qr(np.hstack(columns), mode="r")
+    triangle = triangle_of(np.hstack(columns))
     return np.hsplit(triangle, np.cumsum([each.shape[1] for each in columns])[:-1])
 
 

@@ -107,6 +107,14 @@ def test_fast_motion_tells_a_delay_from_a_lag_and_slow_motion_does_not(alternati
     assert np.all(np.diag(fast.rms_um) == 0.0)
 
 
+@pytest.mark.parametrize("frequency_hz", [10.0, 150.0, 1500.0])
+def test_alternatives_are_at_least_as_far_apart_with_fixed_parameters(alternatives, frequency_hz):
+    fixed, refitted = (expected.expected_outcome(
+        alternatives, chirp(frequency_hz), LIMITS, is_refitted) for is_refitted in (False, True))
+    assert np.all(fixed.distance >= refitted.distance)
+    assert fixed.rank > refitted.rank
+
+
 def test_more_noise_and_more_misfit_bring_alternatives_together(alternatives):
     before = expected.expected_outcome(alternatives, chirp(1500.0), LIMITS)
     for change in ({"alike": 4.0 * alternatives.alike},
