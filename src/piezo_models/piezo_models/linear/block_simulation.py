@@ -25,14 +25,14 @@ BATCH = 512
 """Blocks of a batch, which fit into the cache."""
 
 KEPT = 16
-"""Systems whose matrices are cached, 0.1 MB for each output; a fit simulates many inputs of a few
+"""Systems whose matrices are cached, 0.04 MB for each output; a fit simulates many inputs of a few
 systems at a time."""
 
-LONG = 128
-"""Samples of a block if few outputs are needed, which makes the states the main cost."""
+LONG = 64
+"""Samples of a block if only some are needed, which makes the states a larger part of the cost."""
 
 MANY = 0.4
-"""Share of the samples above which all are computed, as products of matrices, instead of some."""
+"""Share of the samples above which all are computed, which needs no selection of blocks."""
 
 
 def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, samples: FloatArray,
@@ -43,17 +43,14 @@ def run_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: float, sampl
     sample is updated in place to that after the last block; the output is filled with that of the
     blocks.
     """
-    gains, outputs, impulse, transposed = _block(a, b, c[None], np.array([direct]), LENGTH)
-    of_states = np.ascontiguousarray(outputs[0].T)
-    answers = np.ascontiguousarray(
-        sliding_window_view(np.concatenate([np.zeros(LENGTH - 1), impulse[0]]), LENGTH)[::-1])
+    gains, outputs, answers, transposed = _block(a, b, c[None], np.array([direct]), LENGTH)
     done = samples.size // LENGTH * LENGTH
     blocks, behind = (each[:done].reshape(-1, LENGTH) for each in (samples, output))
     for begin in range(0, len(blocks), BATCH):
         batch = blocks[begin : begin + BATCH]
         states = _states(transposed, batch @ gains, state)
-        np.matmul(batch, answers, out=behind[begin : begin + BATCH])
-        behind[begin : begin + BATCH] += states @ of_states
+        np.matmul(batch, answers[0], out=behind[begin : begin + BATCH])
+        behind[begin : begin + BATCH] += states @ outputs[0]
     return done
 
 
@@ -62,36 +59,40 @@ def outputs_in_blocks(a: FloatArray, b: FloatArray, c: FloatArray, direct: Float
                       at: NDArray[np.intp]) -> FloatArray:
     """Return the outputs of a system with several outputs at a few samples, sorted, (m, outputs).
 
-    For other samples, only the states at the starts of blocks of `LONG` samples are computed, once
-    for all outputs. `c` is (outputs, n), `direct` is (outputs,); the state at the first sample is
-    overwritten.
+    Only the blocks of `LONG` samples that contain such samples are computed. `c` is (outputs, n),
+    `direct` is (outputs,); the state at the first sample is overwritten.
     """
-    if at.size >= FEWEST and at.size > MANY * samples.size:
+    if len(c) == 1 and at.size > MANY * samples.size:
         # The outputs do not depend on the samples after them.
         padded = np.concatenate([samples, np.zeros(-samples.size % LENGTH)])
-        every = np.empty((len(c), padded.size))
-        for own, own_direct, output in zip(c, direct, every, strict=True):
-            run_blocks(a, b, own, own_direct, padded, state.copy(), output)
-        return np.ascontiguousarray(every.T[at])
-    gains, outputs, impulse, transposed = _block(a, b, c, direct, LONG)
-    answers, latest_first = np.empty((at.size, len(c))), np.ascontiguousarray(impulse[:, ::-1])
+        every = np.empty(padded.size)
+        run_blocks(a, b, c[0], direct[0], padded, state, every)
+        return every[at, np.newaxis]
+    gains, outputs, answers, transposed = _block(a, b, c, direct, LONG)
+    found = np.empty((at.size, len(c)))
     last = at[-1] + 1 if at.size else 0
     for begin in range(0, last, BATCH * LONG):
         batch = samples[begin : begin + BATCH * LONG]
-        whole = batch.size // LONG * LONG
-        states = _states(transposed, batch[:whole].reshape(-1, LONG) @ gains, state)
+        blocks = np.concatenate([batch, np.zeros(-batch.size % LONG)]).reshape(-1, LONG)
+        states = _states(transposed, blocks @ gains, state)
         asked = slice(*np.searchsorted(at, [begin, begin + BATCH * LONG]))
-        _answer(batch, np.vstack([states, state]), latest_first, outputs, at[asked] - begin,
-                answers[asked])
-    return answers
+        number, place = np.divmod(at[asked] - begin, LONG)
+        is_first = np.diff(number, prepend=-1) > 0
+        blocks, states = blocks[number[is_first]], states[number[is_first]]
+        place += LONG * (np.cumsum(is_first) - 1)
+        for output, (own, of_states) in enumerate(zip(answers, outputs, strict=True)):
+            found[asked, output] = (blocks @ own + states @ of_states).ravel()[place]
+    return found
 
 
 def _block(a: FloatArray, b: FloatArray, c: FloatArray, direct: FloatArray, length: int,
            ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the matrices to state and outputs, the impulse responses and a^length transposed.
+    """Return the matrices of a block, and a^length transposed.
 
-    They are cached and shared, since one system is often simulated with many inputs. Do not change
-    them.
+    The input of a block times the first matrix, (length, n), is its part of the state behind it.
+    The others, (outputs, n, length) and (outputs, length, length), give the outputs from the state
+    at its start and from its input. All are cached and shared, since one system is often simulated
+    with many inputs. Do not change them.
     """
     return _block_of(a.tobytes(), b.tobytes(), c.tobytes(), direct.tobytes(), length)
 
@@ -102,9 +103,10 @@ def _block_of(a_bytes: bytes, b_bytes: bytes, c_bytes: bytes, direct_bytes: byte
     b, direct = np.frombuffer(b_bytes), np.frombuffer(direct_bytes)
     a, c = np.frombuffer(a_bytes).reshape(-1, b.size), np.frombuffer(c_bytes).reshape(-1, b.size)
     driven, transposed = _sequence(b[None], np.ascontiguousarray(a.T), length)
-    outputs = np.ascontiguousarray(_sequence(c, a, length)[0].swapaxes(0, 1))
-    impulse = np.column_stack([direct, outputs[:, :-1] @ b])
-    return np.ascontiguousarray(driven[::-1, 0]), outputs, impulse, transposed
+    outputs = np.ascontiguousarray(_sequence(c, a, length)[0].transpose(1, 2, 0))
+    impulse = np.column_stack([np.zeros((len(c), length - 1)), direct, b @ outputs[:, :, :-1]])
+    answers = np.ascontiguousarray(sliding_window_view(impulse, length, axis=1)[:, ::-1])
+    return np.ascontiguousarray(driven[::-1, 0]), outputs, answers, transposed
 
 
 def _sequence(rows: FloatArray, a: FloatArray, length: int) -> tuple[FloatArray, FloatArray]:
@@ -113,24 +115,6 @@ def _sequence(rows: FloatArray, a: FloatArray, length: int) -> tuple[FloatArray,
     while len(sequence) < length:
         sequence, power = np.concatenate([sequence, sequence @ power]), power @ power
     return sequence, power
-
-
-# The order of the sum is free, so that the processor adds several products at once.
-@njit(cache=True, nogil=True, fastmath={"reassoc", "nsz"})
-def _answer(samples: FloatArray, states: FloatArray, latest_first: FloatArray,
-            outputs: FloatArray, at: NDArray[np.intp], answers: FloatArray) -> None:
-    """Write the outputs at some samples of blocks, from the states at the starts of these."""
-    count, length = latest_first.shape
-    for k in range(at.size):
-        block, place = divmod(at[k], length)
-        for number in range(count):
-            answer = 0.0
-            for i in range(place + 1):
-                answer += samples[block * length + i] * latest_first[
-                    number, length - 1 - place + i]
-            for j in range(states.shape[1]):
-                answer += states[block, j] * outputs[number, place, j]
-            answers[k, number] = answer
 
 
 @njit(cache=True, nogil=True)
