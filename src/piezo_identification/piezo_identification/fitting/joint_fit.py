@@ -201,7 +201,7 @@ class JointProblem:
         regression = self.start if begun is None else begun.regression
         if not effects or begun is not None and begun.effects == effects:
             return guessed
-        regression = replace(regression, dataset=simulated_by(
+        regression = regression.simulated_as(simulated_by(
             regression.dataset, regression.dataset.model, self.new_count, appeared))
         fit = fit_effects(regression, effects, quick=True)
         most = errors.longest[: errors.count]

@@ -102,6 +102,12 @@ class Regression:
         q, r = np.linalg.qr(np.vstack([self.weighted[self.estimation], self.prior]))
         return q, r
 
+    def simulated_as(self, dataset: Dataset) -> "Regression":
+        """Return the regression with other simulations of the same rows, and its QR factors."""
+        other = replace(self, dataset=dataset)
+        vars(other)["_factors"] = self._factors
+        return other
+
     def difference(self, effects: Sequence[Effect], quick: Sequence[Effect] = ()) -> FloatArray:
         """Return measured minus simulated displacement, divided by the tolerance, (r,)."""
         return self.dataset.difference_um(effects, quick) / self.tolerance_um
@@ -131,11 +137,11 @@ class Regression:
         undetermined.
         """
         dataset, difference = self.dataset, self.difference(effects)
-        rows = self.estimation | self.validation
+        rows, count = self.estimation | self.validation, dataset.nuisance_count
+        nuisance = dataset.regressors[:, :count] / self.tolerance_um[:, None]
         coefficients = np.zeros(dataset.regressors.shape[1])
-        coefficients[: dataset.nuisance_count] = np.linalg.lstsq(
-            self.weighted[rows, : dataset.nuisance_count], difference[rows], rcond=1e-12)[0]
-        return Fit(tuple(effects), difference - self.weighted @ coefficients, difference,
+        coefficients[:count] = np.linalg.lstsq(nuisance[rows], difference[rows], rcond=1e-12)[0]
+        return Fit(tuple(effects), difference - nuisance @ coefficients[:count], difference,
                    coefficients)
 
     def noise_of_rows(self) -> FloatArray:
