@@ -24,7 +24,6 @@ from piezo_identification.experiments.stage_limits import StageLimits
 from piezo_identification.fitting.dataset import SPLIT, simulate_recordings
 from piezo_identification.fitting.free_parameters import free_sensitivities
 from piezo_identification.fitting.regression import SETTINGS
-from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_recorder.reading.recording import Recording
 from piezo_recorder.sample_block import Flag
@@ -68,20 +67,19 @@ def expected_outcome(alternatives: Alternatives, experiment: Experiment, limits:
     dataset = simulate_recordings(
         problem.dataset.model, [unplayed], past_v=(),
         sensitivities=free_sensitivities if is_refitted else _no_sensitivities)
-    rows = dataset.rows[0]
-    parts = [simulated_recording(alternative.fit.regression.dataset.model, unplayed, ())
-             for alternative in known]
+    (given,), (rows,) = dataset.simulated, dataset.rows
+    parts = [given.with_model(alternative.fit.regression.dataset.model) for alternative in known]
     predictions = [part.simulate(alternative.fit.effects)[rows]
                    for part, alternative in zip(parts, known, strict=True)]
     error_um = np.sqrt(alternatives.alike) * np.linalg.norm(np.array([
-        _noise_um(alternatives, dataset.simulated[0].sample_period_s),
+        _noise_um(alternatives, given.sample_period_s),
         SETTINGS.model_tolerance * max(np.ptp(predicted) for predicted in predictions),
         alternatives.misfit * max(np.std(predicted) for predicted in predictions)], dtype=float))
     regressors, of_effects = dataset.regressors, [np.zeros((rows.size, 0))] * count
     if is_refitted:
         # The model with its own effects is nearly the same in all of them.
         regressors = np.hstack([regressors, sensitivities(
-            lambda own: dataset.simulated[0].simulate(own)[rows], problem.own)])
+            lambda own: given.simulate(own)[rows], problem.own)])
         of_effects = [sensitivities(
             lambda added, part=part, own=alternative.own: part.simulate((*own, *added))[rows],
             alternative.effects) for part, alternative in zip(parts, known, strict=True)]
