@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.analysis.gain_over_frequency import band_of_most, spectrum
 from piezo_identification.conditioning.waveforms import SETTINGS as WAVEFORMS
 from piezo_identification.conditioning.waveforms import turning_points
+from piezo_identification.fitting.evidence import correlated_scale
 from piezo_identification.fitting.noise_estimate import residual_um
 from piezo_identification.fitting.regression import Fit, Regression
 
@@ -124,8 +124,8 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> De
     centre = np.bincount(index, values)[used] / count[used]
     count = count[used]
     # Neighbouring samples are correlated: a bin has fewer independent ones than samples.
-    correlated = _correlated_samples(rest)
     variance, chance = float(np.var(residual_um)), float(np.var(rest))
+    correlated = correlated_scale(rest) ** 2 / chance if chance > 0.0 else 1.0
     band = SETTINGS.band_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
     between = float(np.sum(count * (mean - residual_um.mean()) ** 2) / residual_um.size)
     by_chance = chance * min(1.0, (count.size - 1) * correlated / residual_um.size)
@@ -160,18 +160,6 @@ def _branches(voltage_v: FloatArray) -> tuple[FloatArray, FloatArray]:
         span[start : end + 1] = abs(voltage_v[end] - voltage_v[start])
         start_v[start : end + 1] = voltage_v[start]
     return span, start_v
-
-
-def _correlated_samples(residual_um: FloatArray) -> float:
-    """Return the number of neighbouring samples per independent sample."""
-    residual = residual_um - residual_um.mean()
-    energy = residual @ residual
-    if energy == 0.0:
-        return 1.0
-    correlation = correlate(residual, residual, method="fft")[residual.size - 1 :] / energy
-    below = np.flatnonzero(correlation < 0.05)
-    end = int(below[0]) if below.size else residual.size
-    return float(max(1.0, 1.0 + 2.0 * np.sum(correlation[1:end])))
 
 
 def describe_residual(regression: Regression, fit: Fit) -> str:
