@@ -2,13 +2,12 @@
 """Hysteresis estimated from all of its recordings, of stages that were cycled before or not."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
-from piezo_identification.conditioning.settling import slow_delay_s, slow_dynamics
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE_OF_RESPONSE,
@@ -18,8 +17,9 @@ from piezo_identification.estimators.hysteresis.density_fit import (
     density_of_parts,
     estimate_density,
     hysteresis_output_um,
-    segment_of,
 )
+from piezo_identification.estimators.hysteresis.dynamics_inverse import input_of, samples_added
+from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
     SETTINGS,
     estimate_first_rise,
@@ -202,23 +202,26 @@ def new_loops(
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
-    Only the residual passes through the approximate inverse of creep and dynamics. It is then added
-    to the output of the model's hysteresis.
+    Only the residual passes through the inverse of the model's linear part. It is then added to the
+    output of the model's hysteresis.
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
     after the voltage. `near` is an estimate from the same recordings with nearly the same creep and
     dynamics.
     """
     names = keys_of_kind(recordings, "hysteresis")
-    parts = [played(recordings[name]) for name in names]
-    slow = slow_dynamics(model.dynamics, model.effects)
-    delay_s = slow_delay_s(model.dynamics, model.effects)
-    segments = []
-    for name, part in zip(names, parts, strict=True):
-        simulated = simulated_recording(model, recordings[name], read_late_s=read_late_s[name])
-        residual = replace(part, displacement_um=simulated.measured_um - simulated.simulate())
-        of_residual = segment_of(residual, model.creep, slow, delay_s - read_late_s[name])
-        entering_v, output_um = simulated.loops()
-        segments.append(replace(
-            of_residual, voltage_v=entering_v, output_um=of_residual.output_um + output_um))
-    return density_of_parts(parts, segments, near=near, **options.keywords())
+    segments = [_loops_again(simulated_recording(
+        model, recordings[name], read_late_s=read_late_s[name])) for name in names]
+    return density_of_parts([played(recordings[name]) for name in names], segments, near=near,
+                            **options.keywords())
+
+
+def _loops_again(simulated: SimulatedRecording) -> HysteresisSegment:
+    residual_um = simulated.measured_um - simulated.simulate()
+    count = residual_um.size + samples_added(residual_um.size)
+    lines = np.asarray(np.fft.rfftfreq(count), dtype=float)
+    missing_um = input_of(residual_um, simulated.linear_response(lines))
+    entering_v, output_um = simulated.loops()
+    return HysteresisSegment(
+        entering_v, output_um + missing_um, simulated.good,
+        np.exp(-np.outer(simulated.time_s, simulated.model.creep.zeros_rad_per_s)))

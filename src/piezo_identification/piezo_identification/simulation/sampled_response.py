@@ -9,7 +9,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.sensor_lag import SensorLag
@@ -24,6 +24,9 @@ from piezo_models.linear.outputs_at import simulate_linear_at
 
 KEPT = 256
 """Number of cached sampled systems; a fit uses some dozens for all its recordings."""
+
+FREQUENCIES_AT_ONCE = 10_000
+"""Frequencies at which a response is computed together; each needs a matrix of the states."""
 
 
 def leading_lags(
@@ -91,6 +94,17 @@ class SampledSystem:
                 np.full(early, input_um[-1])])
         return simulate_linear(
             self._discrete, played_um, input_um[0] * self._held)[early :: self._parts]
+
+    def response_over(self, turn: FloatArray) -> ComplexArray:
+        """Return the only output over the input at frequencies, in turns per input, (n,)."""
+        z = np.exp(2j * np.pi * turn)
+        a, b, c, d = matrices_of(self._discrete)
+        found = np.empty(z.size, dtype=complex)
+        for begin in range(0, z.size, FREQUENCIES_AT_ONCE):
+            part = slice(begin, begin + FREQUENCIES_AT_ONCE)
+            states = np.linalg.solve(z[part, None, None] * np.eye(len(a)) - a, b[None])
+            found[part] = (c @ states)[:, 0, 0] + d[0, 0]
+        return found * z ** -float(self._late)
 
     def response_at(self, input_um: FloatArray, at: NDArray[np.intp]) -> FloatArray:
         """Return all outputs at a few sorted samples, (n, outputs)."""

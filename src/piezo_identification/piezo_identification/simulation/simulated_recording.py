@@ -11,7 +11,7 @@ import control
 import numpy as np
 from numpy.typing import NDArray
 
-from piezo_common.arrays import FloatArray
+from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.conditioning.generator_edges import EARLY_EDGE, moved_between_rows
 from piezo_identification.conditioning.outlier_samples import OUTLIER, good_samples
 from piezo_identification.conditioning.recording_start import rests_at_first
@@ -305,6 +305,17 @@ class SimulatedRecording:
         """Return a continuous system sampled like the recording, for inputs in parts of rows."""
         return SampledSystem(system, self.sample_period_s, self.samples_per_mean,
                              delay_s - self.read_late_s, parts)
+
+    def linear_response(self, turn: FloatArray) -> ComplexArray:
+        """Return the response of the linear part, (n,), at frequencies in turns per row.
+
+        It is that from an input that is held in each row to the displacement of the rows.
+        """
+        behind = tuple(effect for place in ("displacement", "sensor")
+                       for effect in self.model.effects_at(place))
+        lags, _ = leading_lags(behind, self.samples_per_mean)
+        system, delay_s = behind_lags(_linear_part(self.model, ()), lags)
+        return self.sampled(system, delay_s, 1).response_over(turn)
 
     def _forget_hysteresis(self) -> None:
         """Clear the cached signals up to the input of the linear part."""

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from piezo_identification.simulation.sampled_response import (
+    SampledSystem,
     behind_lags,
     leading_lags,
     mean_zoh,
@@ -35,6 +36,17 @@ def test_the_mean_of_held_periods_is_that_of_the_samples_in_them(plant, count):
     samples = simulate_linear(zoh(system, 25e-6), np.repeat(held, count))
     means = simulate_linear(mean_zoh(system, count * 25e-6, count), held)
     np.testing.assert_allclose(means, samples.reshape(-1, count).mean(axis=1), atol=1e-9)
+
+
+@pytest.mark.parametrize(("samples", "delay_s"), [(1, 0.0), (1, 2.67e-3), (1, -0.4e-3), (10, 0.0)])
+def test_the_response_over_frequency_is_that_of_a_periodic_input(
+        plant, levels_um, samples, delay_s):
+    sampled = SampledSystem(plant.dynamics.state_space(), PERIOD_S, samples, delay_s)
+    period_um = sampled.response(np.tile(levels_um, 3))[levels_um.size : 2 * levels_um.size]
+    expected = np.fft.rfft(period_um) / np.fft.rfft(levels_um)
+    found = sampled.response_over(np.fft.rfftfreq(levels_um.size))
+    shown = np.abs(np.fft.rfft(levels_um)) > 1e-3
+    np.testing.assert_allclose(found[shown], expected[shown], atol=1e-6)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.13e-3, 1e-3, 2.67e-3, 1.0])
