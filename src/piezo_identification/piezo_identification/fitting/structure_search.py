@@ -12,6 +12,7 @@ from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.settling import STANDS_OUT
+from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -201,7 +202,7 @@ def fitted_with_bouc_wen(problem: WholeModel,
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
             tried.append((f"{form}, pasts sought again", closer))
-            if not is_better(closer, fit) or closer.evidence_over(fit) < SETTINGS.distinct:
+            if not is_better(closer, fit) or closer.evidence_over(fit) < DECISIVE:
                 break
             found, fit = again, closer
         return found, fit
