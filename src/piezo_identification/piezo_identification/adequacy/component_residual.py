@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The residual of a model on the recording from which one of its components was estimated."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import BoolArray, FloatArray
-from piezo_identification.conditioning.generator_edges import EARLY_EDGE, free_running_level
-from piezo_identification.conditioning.outlier_samples import good_samples, without_rows_before
+from piezo_identification.conditioning.generator_edges import EARLY_EDGE, generator_edges
+from piezo_identification.conditioning.outlier_samples import OUTLIER
 from piezo_identification.conditioning.row_alignment import rows_read_at_start
 from piezo_identification.conditioning.sensor_noise import repeated_period
 from piezo_identification.conditioning.settling import (
     first_settled,
     rings_unresolved,
+    slow_delay_s,
     slow_dynamics,
 )
 from piezo_identification.conditioning.waveforms import (
     SquareWave,
     played,
-    samples_per_mean,
     square_part,
     two_levels,
 )
@@ -34,14 +35,8 @@ from piezo_identification.estimators.frequency_response.response_hold import of_
 from piezo_identification.fitting.measured_response import best_gain
 from piezo_identification.simulation.generator_rows import with_edges_of_generator
 from piezo_identification.simulation.past_search import after_saturation, starting_past_v
-from piezo_identification.simulation.sampled_response import (
-    behind_lags,
-    leading_lags,
-    respond,
-)
 from piezo_identification.simulation.simulated_recording import (
-    RowVoltage,
-    in_parts,
+    SimulatedRecording,
     offset_and_decays,
 )
 from piezo_models.cascade import StageModel
@@ -49,6 +44,8 @@ from piezo_recorder.reading.recording import Recording
 
 WITH_FREE_GAIN = ("creep", "dynamics")
 """Components whose gain is fitted, as it belongs to the hysteresis."""
+
+NO_STEPS = np.empty(0, dtype=np.intp)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +90,7 @@ def component_residual(
     """Simulate a model for the data of one component, and project out all other causes of error.
 
     These are the offset, the initial state and, for creep and dynamics, the gain of the hysteresis.
-    For a square wave, the hysteresis is an offset and a gain (4.5) and need not be simulated unless
-    the model has a lag before it.
+    Of a square wave, only rows that the estimate of the component uses count.
 
     The component is ``creep``, ``dynamics`` or ``hysteresis``, and was estimated from the data.
     `delay_s` is the delay of the rows of the recording, in addition to that of the model. Raise
@@ -102,101 +98,88 @@ def component_residual(
     """
     if isinstance(data, FrequencyResponse):
         return _of_response(model, data)
-    if component in WITH_FREE_GAIN:
-        part = square_part(played(data))
-        wave = two_levels(part)
-        if wave is not None:
-            return _of_square_wave(component, model, part, wave, delay_s)
-    aligned = rows_read_at_start(data, -delay_s / played(data).sample_period_s)
-    return _of_any_wave(component in WITH_FREE_GAIN, model, aligned)
+    has_free_gain = component in WITH_FREE_GAIN
+    part = square_part(played(data))
+    wave = two_levels(part) if has_free_gain else None
+    if wave is None:
+        aligned = rows_read_at_start(data, -delay_s / played(data).sample_period_s)
+        run = after_saturation(model, aligned).after(starting_past_v(model, aligned))
+        return _of_any_wave([run], has_free_gain)
+    first = _first_used(component, model, part, wave)
+    levels_v = np.array([np.min(part.voltage_v), np.max(part.voltage_v)])
+    held = replace(part, voltage_v=levels_v[wave.level.astype(int)])
+    used = _with_rows_used(component, model, held, wave, first, delay_s)
+    # The loop between the levels is closed from the first row on.
+    runs = [SimulatedRecording(model, each).after(tuple(levels_v[::-1])).read_at(-delay_s)
+            for each in _with_edges_tried(component, model, used, wave, delay_s)]
+    return _of_any_wave(runs, True, first, wave.steps)
 
 
-def _of_square_wave(
-    component: str, model: StageModel, part: Recording, wave: SquareWave, delay_s: float,
-) -> ComponentResidual:
-    time_s = part.time_s
-    samples = samples_per_mean(part)
-    model = model.as_rows_show(part.sample_period_s)
-    lags, _ = leading_lags(model.effects_at("displacement") + model.effects_at("sensor"), samples)
-    system, behind_s = behind_lags(model.linear(), lags)
-    first = first_settled(model.dynamics, time_s, model.effects)
+def _first_used(component: str, model: StageModel, part: Recording, wave: SquareWave) -> int:
+    """Return the first row of a square wave after which it repeats and its start has settled."""
+    first = first_settled(model.dynamics, part.time_s, model.effects)
     if component == "dynamics":
-        first = max(first, first_used_row(part, wave, model.creep))
-    elif wave.steps.size >= FEWEST_STEPS:
-        first = max(first, int(wave.steps[0]))
-    good = good_samples(part)[first:]
+        return max(first, first_used_row(part, wave, model.creep))
+    return max(first, int(wave.steps[0])) if wave.steps.size >= FEWEST_STEPS else first
+
+
+def _with_rows_used(component: str, model: StageModel, part: Recording, wave: SquareWave,
+                    first: int, delay_s: float) -> Recording:
+    """Return a square wave with the rows that the component excludes marked as outliers."""
+    rows = np.arange(wave.level.size)
+    is_used = rows >= first
     if component == "creep":
         # Exclude the fast dynamics, which this recording does not resolve.
-        since = np.arange(time_s.size) - np.concatenate([[0], wave.steps])[
-            np.searchsorted(wave.steps, np.arange(time_s.size), side="right")]
-        settled_s = left_out_s(slow_dynamics(model.dynamics, model.effects), behind_s + delay_s,
-                               longest_step_s(part, wave))
-        good = good & (since[first:] * part.sample_period_s >= settled_s)
+        since = rows - np.concatenate([[0], wave.steps])[
+            np.searchsorted(wave.steps, rows, side="right")]
+        is_used &= since * part.sample_period_s >= left_out_s(
+            slow_dynamics(model.dynamics, model.effects),
+            slow_delay_s(model.dynamics, model.effects) + delay_s, longest_step_s(part, wave))
         # A free-running generator steps between two rows.
-        good[wave.steps[wave.steps > first] - first - 1] = False
-    measured_um = part.displacement_um[first:]
-    offset_and_creep = offset_and_decays(model, time_s)
-
-    def left_um(driving: FloatArray) -> FloatArray:
-        response = respond(system, driving, part.sample_period_s, samples, behind_s + delay_s,
-                           parts=driving.size // time_s.size)
-        columns = np.column_stack([response, offset_and_creep])[first:]
-        fitted = np.linalg.lstsq(columns[good], measured_um[good], rcond=1e-12)[0]
-        return np.asarray(measured_um - columns @ fitted)
-
-    own_um = None
-    if component == "dynamics":
-        residual_um = left_um(_behind_hysteresis(model, part, wave.level, None))
-        used = without_rows_before(part, part.sample_index[first])
-        early = with_edges_of_generator(
-            model, used, -delay_s, keeps_instant=False).columns.get(EARLY_EDGE)
-        if early is not None:
-            own_um = left_um(_behind_hysteresis(model, part, wave.level, early))
-    else:
-        residual_um = left_um(wave.level)
-        if (own := free_running_level(wave)) is not None:
-            own_um = left_um(own)
-    if own_um is not None:
-        if np.sum(own_um[good] ** 2) < np.sum(residual_um[good] ** 2):
-            residual_um = own_um
-    voltage_v = np.asarray(part.voltage_v)[first:]
-    return ComponentResidual(
-        str(part.path), time_s[first:], voltage_v, measured_um, residual_um,
-        good, repeated_period(wave.level[first:]), wave.steps[wave.steps >= first] - first)
+        is_used[wave.steps - 1] = False
+    off_um = part.columns.get(OUTLIER, np.zeros(rows.size))
+    return replace(part, columns={**part.columns, OUTLIER: np.where(is_used, off_um, np.nan)})
 
 
-def _behind_hysteresis(model: StageModel, part: Recording, level: FloatArray,
-                       early: FloatArray | None) -> FloatArray:
-    """Return the output of the hysteresis, or the levels unless an effect acts on the voltage.
+def _with_edges_tried(component: str, model: StageModel, part: Recording, wave: SquareWave,
+                      delay_s: float) -> list[Recording]:
+    """Return a square wave, and also with edges between its rows if a generator ran freely."""
+    edges = generator_edges(wave)
+    if edges is None:
+        return [part]
+    if component == "creep":  # its slow rows do not show more of the edges
+        return [part, replace(part, columns={**part.columns, EARLY_EDGE: edges.early})]
+    return [part, with_edges_of_generator(model, part, -delay_s, keeps_instant=False)]
 
-    The edges of the levels are early by a part of a row if a generator runs freely.
+
+def _of_any_wave(runs: Sequence[SimulatedRecording], has_free_gain: bool, first: int = 0,
+                 steps: NDArray[np.intp] = NO_STEPS) -> ComponentResidual:
+    """Return the smallest residual of alternative simulations of the same rows.
+
+    It begins at row `first`, so that rows before it are in no mean of periods.
     """
-    ahead = model.effects_at("voltage")
-    low_v, high_v = float(np.min(part.voltage_v)), float(np.max(part.voltage_v))
-    voltage = RowVoltage(low_v + (high_v - low_v) * (level - level.min()) / np.ptp(level), early)
-    in_parts_v, parts = in_parts(voltage, ahead, part.sample_period_s, samples_per_mean(part))
-    if not ahead:
-        return voltage.with_early_edges(in_parts_v, is_smooth=True)
-    return model.hysteresis.simulate(
-        model.amplified(in_parts_v, part.sample_period_s / parts), model.hysteresis.memory())
+    run, residual_um = min(((run, _residual_um(run, has_free_gain)) for run in runs),
+                           key=lambda pair: float(np.sum(pair[1][~pair[0].outlier] ** 2)))
+    begin = max(first, run.begin)
+    rings = rings_unresolved(
+        slow_dynamics(run.model.dynamics, run.model.effects), run.voltage_v, run.sample_period_s)
+    good, voltage_v = ~run.outlier & ~rings, run.voltage_v[begin:]
+    return ComponentResidual(
+        str(run.path), run.time_s[begin:], voltage_v, run.measured_um[begin:],
+        residual_um[begin:], good[begin:], repeated_period(voltage_v),
+        steps[steps >= begin] - begin)
 
 
-def _of_any_wave(free_gain: bool, model: StageModel, data: Recording) -> ComponentResidual:
-    run = after_saturation(model, data).after(starting_past_v(model, data))
-    simulated_um = run.fitted_um()
-    time_s, measured_um = run.time_s[run.settled], run.measured_um[run.settled]
-    good = ~run.outlier[run.settled]
-    if free_gain:
-        columns = np.column_stack([simulated_um, offset_and_decays(model, time_s)])
+def _residual_um(run: SimulatedRecording, has_free_gain: bool) -> FloatArray:
+    """Return the residual at all rows, (N,): 0 until the start has settled."""
+    simulated_um, measured_um = run.fitted_um(), run.measured_um[run.settled]
+    if has_free_gain:
+        columns = np.column_stack([
+            simulated_um, offset_and_decays(run.model, run.time_s[run.settled])])
+        good = ~run.outlier[run.settled]
         simulated_um = columns @ np.linalg.lstsq(
             columns[good], measured_um[good], rcond=1e-12)[0]
-    rings = rings_unresolved(
-        slow_dynamics(model.dynamics, model.effects), run.voltage_v, run.sample_period_s)
-    voltage_v = run.voltage_v[run.settled]
-    return ComponentResidual(
-        str(data.path), time_s, voltage_v, measured_um, measured_um - simulated_um,
-        good & ~rings[run.settled],
-        repeated_period(voltage_v), np.empty(0, dtype=np.intp))
+    return np.concatenate([np.zeros(run.begin), measured_um - simulated_um])
 
 
 def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidual:
@@ -211,5 +194,5 @@ def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidua
     order = np.arange(measured_um.size, dtype=float)
     return ComponentResidual(
         str(data.path), order, np.zeros(order.size), measured_um, left_um,
-        np.ones(order.size, dtype=bool), None, np.empty(0, dtype=np.intp),
+        np.ones(order.size, dtype=bool), None, NO_STEPS,
         np.tile(measured.frequency_hz, 2))

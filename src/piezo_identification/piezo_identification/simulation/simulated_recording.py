@@ -114,7 +114,7 @@ class SimulatedRecording:
         self.off_um = part.columns.get(OUTLIER, np.zeros(self.time_s.size))
         joined_v, self._samples_before = with_voltage_before(recording, part)
         early = part.columns.get(EARLY_EDGE)
-        self._joined = RowVoltage(joined_v, None if early is None else np.concatenate(
+        self._joined = _RowVoltage(joined_v, None if early is None else np.concatenate(
             [np.zeros(self._samples_before), early]))
         self._rests_at_first = rests_at_first(recording)
         self.begin = 0 if self._rests_at_first else first_settled(
@@ -341,7 +341,7 @@ class SimulatedRecording:
 
     @property
     def hysteresis_um(self) -> FloatArray:
-        """Output of the hysteresis, in um, (N parts,); see `in_parts` for the parts of a row."""
+        """Output of the hysteresis, in um, (N parts,); see `_in_parts` for the parts of a row."""
         return self._hysteresis_and_rest_um[0]
 
     @cached_property
@@ -384,7 +384,7 @@ class SimulatedRecording:
 
         A model with all these effects applies them in the same order.
         """
-        voltage_v, parts = in_parts(
+        voltage_v, parts = _in_parts(
             self._joined, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
             self.samples_per_mean)
         period_s = self.sample_period_s / parts
@@ -404,7 +404,7 @@ class SimulatedRecording:
         output_um = hysteresis.simulate(within_v, memory)[count - 1 :: count]
         output_um += hysteresis.line_beyond_um(amplified_v)
         if effects or self.model.effects_at("voltage"):
-            return output_um  # `in_parts` has moved the edges of the voltage
+            return output_um  # `_in_parts` has moved the edges of the voltage
         return self._joined.with_early_edges(output_um, is_smooth=True)
 
     def _with_creep(self, hysteresis_um: FloatArray, amplified_v: FloatArray) -> FloatArray:
@@ -490,7 +490,7 @@ def _linear_part(model: StageModel, more: tuple[Effect, ...]) -> control.StateSp
 
 
 @dataclass(frozen=True, eq=False)
-class RowVoltage:
+class _RowVoltage:
     """Recorded voltage of the rows, (N,)."""
 
     voltage_v: FloatArray
@@ -510,7 +510,7 @@ class RowVoltage:
         return means_of_parts(self.voltage_v, PARTS)
 
 
-def in_parts(voltage: RowVoltage, effects: Collection[Effect], sample_period_s: float,
+def _in_parts(voltage: _RowVoltage, effects: Collection[Effect], sample_period_s: float,
              samples_per_mean: int) -> tuple[FloatArray, int]:
     """Return a recorded voltage divided into the parts in which its rows are simulated.
 

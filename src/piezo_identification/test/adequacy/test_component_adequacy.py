@@ -16,6 +16,7 @@ from piezo_identification.adequacy.component_adequacy import (
 )
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
+from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.experiments import catalogue as experiments
 from piezo_models.effects.delay import Delay
@@ -47,6 +48,13 @@ def test_the_stage_itself_is_adequate_and_its_noise_is_found(plant, recordings):
         assert (part.left, part.advice) == ("", "")
     assert overall_verdict(adequacy_document(adequacy)) == "adequate"
     assert adequacy["dynamics"].noise_from == "repeats"
+
+
+def test_rows_before_the_first_used_step_are_in_no_mean_of_periods(plant, recordings):
+    residual = component_residual("dynamics", plant, recordings["dynamics"])
+    assert residual.time_s[0] >= WARM_UP_S
+    assert residual.good.all()
+    assert residual.residual_um.size > 80 * residual.period
 
 
 @pytest.mark.parametrize("lacks_hysteresis", [False, True])
