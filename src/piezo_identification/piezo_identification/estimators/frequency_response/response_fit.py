@@ -262,10 +262,12 @@ def _deviations(
     covariance = parameter_covariance(slopes[:, fit.free], residual)
     covariance *= residual.size / independent_rows(residual)
     steps = STEP * np.eye(fit.vector.size)[fit.free]
+    # No model has a negative lag or delay.
+    behind = np.maximum(fit.vector - steps, fit.form.bounds(search.rate)[0])
     sensitivity = np.column_stack([
-        _numbers(_model(search, replace(fit, vector=fit.vector + step)))
-        - _numbers(_model(search, replace(fit, vector=fit.vector - step)))
-        for step in steps]) / (2.0 * STEP)
+        (_numbers(_model(search, replace(fit, vector=after)))
+         - _numbers(_model(search, replace(fit, vector=before)))) / np.sum(after - before)
+        for after, before in zip(fit.vector + steps, behind, strict=True)])
     spread = iter(np.sqrt(np.diag(propagated(sensitivity, covariance))).tolist())
     deviations: dict[str, Any] = {"gain": next(spread), "delay_s": next(spread)}
     for name, part in (("creep", model.creep), ("dynamics", model.dynamics)):

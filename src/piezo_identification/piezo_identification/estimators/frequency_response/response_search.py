@@ -33,10 +33,6 @@ SPARE_POLES = 40
 DELAYS_A_TURN, MOST_DELAYS = 4, 48
 """Number of delays tried per turn of phase at the highest strong frequency, and in total."""
 
-NEARLY_AS_LITTLE, FEW_DELAYS = 3.0, 8
-"""Ratio to the smallest error up to which delays are also tried with fewer poles, and their
-number."""
-
 STRONG = 0.02
 """Gain, relative to the largest, above which a frequency is strong."""
 
@@ -113,7 +109,7 @@ class ResponseSearch:
         step = -(-self.rate.size // LINES)
         self._coarse = slice((self.rate.size - 1) % step, None, step)
         self.weight = np.ones(self.rate.size)
-        self._delays_s, poles = self._delays_and_poles()
+        self._delay_s, poles = self._delay_and_poles()
         residual = self._residual(poles)
         self.weight = weight_of_noise(residual, self.gain - residual)
         residual = self.weight * self._residual(poles)
@@ -123,11 +119,11 @@ class ResponseSearch:
         self._rounding = finest_power(np.abs(self.gain))
 
     def _residual(self, poles: ComplexArray) -> ComplexArray:
-        turned = self.gain * np.exp(1j * self.rate * self._delays_s[0])
+        turned = self.gain * np.exp(1j * self.rate * self._delay_s)
         return residual_of_poles(Lines(self.rate, turned, weight=self.weight), poles)
 
-    def _delays_and_poles(self) -> tuple[list[float], ComplexArray]:
-        """Delays with which a fit of many poles is good, best first, and the poles of that one."""
+    def _delay_and_poles(self) -> tuple[float, ComplexArray]:
+        """Delay with which a fit of many poles is best, and these poles."""
         rate, gain = self.rate[self._coarse], self.gain[self._coarse]
         strong = rate[np.abs(gain) > STRONG * np.abs(gain).max()]
         turn_s = 2.0 * np.pi / strong[-1]
@@ -142,9 +138,7 @@ class ResponseSearch:
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s))
             poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5))
             tried.append((np.linalg.norm(residual_of_poles(turned, poles)), delay_s, poles))
-        tried.sort(key=lambda entry: entry[0])
-        near = [delay_s for norm, delay_s, _ in tried if norm < NEARLY_AS_LITTLE * tried[0][0]]
-        return near[:1] + near[1::-(-len(near) // FEW_DELAYS)], tried[0][2]
+        return min(tried, key=lambda entry: entry[0])[1:]
 
     def measured_response(self) -> MeasuredResponse:
         """Return the response with its noise for a fit together with recordings."""
@@ -304,7 +298,7 @@ class ResponseSearch:
         form = RationalForm(creep_pairs, modes)
         rate, gain = self.rate[self._coarse], self.gain[self._coarse]
         weight, tried = self.weight[self._coarse], []
-        for delay_s in (*self._delays_s, *more_delays_s):
+        for delay_s in (self._delay_s, *more_delays_s):
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * rate * delay_s), weight=weight)
             found = vector_fit(turned, 2 * modes + creep_pairs + 1)

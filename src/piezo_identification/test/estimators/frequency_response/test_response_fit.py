@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from piezo_common.budget import Budget, spending
-from piezo_identification.estimators.frequency_response.rational_form import RationalForm
+from piezo_identification.estimators.frequency_response.rational_form import (
+    DELAY,
+    LOSS,
+    RationalForm,
+)
 from piezo_identification.estimators.frequency_response.response_file import (
     FrequencyResponse,
     read_frequency_response,
@@ -16,9 +20,14 @@ from piezo_identification.estimators.frequency_response.response_fit import (
     STRONG_EVIDENCE,
     ResponseModel,
     ResponseOrder,
+    _deviations,
+    _model,
     estimate_from_response,
 )
-from piezo_identification.estimators.frequency_response.response_search import weight_of_noise
+from piezo_identification.estimators.frequency_response.response_search import (
+    ResponseSearch,
+    weight_of_noise,
+)
 from piezo_identification.estimators.poles.vector_fitting import Lines, vector_fit
 from piezo_identification.identification.linear_dynamics import LinearDynamics
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -83,6 +92,16 @@ def test_standard_deviations_are_those_of_repeated_draws():
         normalised.append((parameters(estimate.model) - parameters(TRUTH))
                           / numbers(estimate.standard_deviations))
     assert np.sqrt(np.mean(np.square(normalised), axis=0)) == pytest.approx(1.0, abs=0.5)
+
+
+def test_a_lag_of_nearly_zero_has_a_standard_deviation():
+    """A step towards smaller lags would leave what a model may have."""
+    search, form = ResponseSearch(measured(1)), RationalForm(0, 1)
+    vector = np.array([0.0, 1e-9, 0.0, 0.0, *np.log([2300.0, 0.02]), 0.6, 0.0])
+    free = ~np.isin(np.arange(form.size), [DELAY, LOSS, *form.mode_places[3]])
+    fit = search.fit((form, vector, free), steps=0)
+    deviations, _ = _deviations(search, fit, _model(search, fit))
+    assert 0.0 < deviations["dynamics"]["time_constant_s"] < np.inf
 
 
 @pytest.mark.parametrize("form, vector", [
