@@ -55,15 +55,8 @@ MOST_IN_SERIES = 2
 NEAR_DELAYS = (0.0, -3.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 3.0)
 """Delays that are tried, in sample periods relative to that of the fit with free residues."""
 
-USUAL_DELAYS = (-1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0)
-"""Delays in sample periods that are tried in any case: the fit with free residues may describe slow
-modes by a delay."""
-
 FOLLOWED = 3
-"""Number of starts of a form that are refined by quick fits."""
-
-ENDED = 2
-"""Number of the best of those starts that are fitted to the end."""
+"""Number of starts of a form that are refined by quick fits; the best is fitted to the end."""
 
 HOPELESS = 1000.0
 """Ratio to the residual power of free residues above which a form is not fitted to the end. The lag
@@ -296,25 +289,8 @@ class _Search:
         for count in range(min(MOST_IN_SERIES, free.modes - 1) + 1):
             if count:
                 series = min(((*series, i) for i in range(free.modes) if i not in series), key=rank)
-            rated = [start(series, delay) for delay in self._delays_near(free.delay)]
-            rated += self._with_one_more_parallel(free, count)
-            yield ModeOrder(count, 0, free.modes - count), self._best_starts(rated)
-
-    def _with_one_more_parallel(
-        self, free: FreeFit, count: int,
-    ) -> list[tuple[float, FloatArray, float]]:
-        """Return starts with a mode of the free fit added to the form with one mode less."""
-        order = ModeOrder(count, 0, free.modes - count - 1)
-        smaller = self._fits.get(order)
-        if smaller is None:
-            return []
-        main, frequencies, dampings, _ = np.split(
-            smaller.vector, np.cumsum([1 + 2 * count, order.parallel, order.parallel]))
-        parallel = [np.array([main[0], *mode])
-                    for mode in zip(frequencies, dampings, strict=True)]
-        modes = [_chosen(free.vector, (i,)) for i in range(free.modes)]
-        return [self._side_by_side(main, [*parallel, np.append(main[0], mode[1:])], smaller.delay)
-                for mode in modes]
+            yield ModeOrder(count, 0, free.modes - count), self._best_starts([
+                start(series, delay) for delay in self._delays_near(free.delay)])
 
     def _side_by_side(
         self, main: FloatArray, parallel: list[FloatArray], delay: float,
@@ -330,16 +306,13 @@ class _Search:
     def _delays_near(self, delay: float) -> list[float]:
         if self._known_delay is not None:
             return [self._known_delay]
-        delays = {delay + by for by in NEAR_DELAYS} | set(USUAL_DELAYS)
-        return sorted(each for each in delays if each >= EARLIEST)
+        return [delay + by for by in NEAR_DELAYS if delay + by >= EARLIEST]
 
     @staticmethod
     def _best_starts(rated: list[tuple[float, FloatArray, float]]) -> list[_Start]:
-        """Return the starts with the lowest cost, with different delays."""
-        best: dict[float, _Start] = {}
-        for _, vector, delay in sorted(rated, key=lambda entry: entry[0]):
-            best.setdefault(delay, (vector, delay))
-        return list(best.values())[:FOLLOWED]
+        """Return the starts with the lowest cost."""
+        best = sorted(rated, key=lambda entry: entry[0])
+        return [(vector, delay) for _, vector, delay in best[:FOLLOWED]]
 
     def _fit(self, order: ModeOrder, starts: Iterable[_Start],
              most: float = np.inf) -> FastFit | None:
@@ -351,12 +324,10 @@ class _Search:
             self._coarse.fit(order, vector, delay if self._known_delay is None
                              else self._known_delay, QUICK_EVALUATIONS, is_free)
             for vector, delay in starts]
-        quick.sort(key=lambda fit: fit.cost)
-        if quick[0].cost > most:
+        best = min(quick, key=lambda fit: fit.cost)
+        if best.cost > most:
             return None
-        return min(
-            (self._record.fit(order, fit.vector, fit.delay, is_delay_free=is_free)
-             for fit in quick[:ENDED]), key=lambda fit: fit.cost)
+        return self._record.fit(order, best.vector, best.delay, is_delay_free=is_free)
 
     def _keep(self, fits: Iterable[FastFit | None]) -> None:
         """Keep the best fit of each order."""
