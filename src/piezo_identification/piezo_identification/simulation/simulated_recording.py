@@ -196,11 +196,7 @@ class SimulatedRecording:
             effect for effect in effects
             if effect.place == "modes" or effect.place == "linear" and effect not in quick
         )
-        behind = tuple(
-            effect for place in ("displacement", "sensor")
-            for effect in (*self.model.effects, *effects) if effect.place == place
-        )
-        lags, others = leading_lags(behind, self.samples_per_mean)
+        lags, others = self._leading_lags(effects)
         quick = tuple(effect for effect in quick if effect.place == "linear")
         linear_part, in_turn = (on_voltage, in_series, lags), (*quick, *others)
         if rows is None:
@@ -209,6 +205,15 @@ class SimulatedRecording:
         if in_turn or not any(linear_part):
             return self._behind(linear_part, in_turn)[rows]
         return self._output(*linear_part, rows)
+
+    def _leading_lags(
+        self, effects: Sequence[Effect],
+    ) -> tuple[tuple[Effect, ...], tuple[Effect, ...]]:
+        """Separate what the model and further effects do behind the linear part."""
+        return leading_lags([
+            effect for place in ("displacement", "sensor")
+            for effect in (*self.model.effects, *effects) if effect.place == place
+        ], self.samples_per_mean)
 
     def _on_voltage(self, effects: Sequence[Effect]) -> tuple[Effect, ...]:
         """Return the effects on which the input of the linear part depends."""
@@ -311,10 +316,7 @@ class SimulatedRecording:
 
         It is that from an input that is held in each row to the displacement of the rows.
         """
-        behind = tuple(effect for place in ("displacement", "sensor")
-                       for effect in self.model.effects_at(place))
-        lags, _ = leading_lags(behind, self.samples_per_mean)
-        system, delay_s = behind_lags(_linear_part(self.model, ()), lags)
+        system, delay_s = behind_lags(_linear_part(self.model, ()), self._leading_lags(())[0])
         return self.sampled(system, delay_s, 1).response_over(turn)
 
     def _forget_hysteresis(self) -> None:
