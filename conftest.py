@@ -119,8 +119,8 @@ def pytest_xdist_make_scheduler(config, log):
 def pytest_collection_modifyitems(config, items):
     """Leave out what is marked ``long``, unless LONG_TESTS is set; SHARED's files come last.
 
-    What they share is nodes that live from their first use to the end of the run, and are not
-    idle: they look after each other.
+    They share nodes that live from their first use to the end of the run, and take processor time
+    by watching each other.
     """
     left_out = [item for item in items if item.get_closest_marker("long") and not LONG]
     if left_out:

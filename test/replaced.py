@@ -8,7 +8,7 @@ import pytest
 
 @contextmanager
 def replaced(*changes):
-    """Put something else where each change (owner, name, instead) tells, until the context ends."""
+    """Replace attributes, each given as (owner, name, replacement), until the context ends."""
     with pytest.MonkeyPatch.context() as patch:
         for change in changes:
             patch.setattr(*change)

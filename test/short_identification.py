@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Shorter identifications and diagnoses, for tests that look at what surrounds them.
 
-Each is a tuple of (owner, name, what stands there instead).
+Each is a tuple of (owner, name, replacement), for `replaced`.
 """
 
 from functools import partial
@@ -18,20 +18,20 @@ from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_models.effects import known_effects
 
 FEW_POLES = ((pole_search, "MOST_MODES", 4),)
-"""Modes with which the search for the poles of a fast record begins; the stages have two."""
+"""The search for the poles of a fast record begins with 4 modes; the stages have two."""
 
 WITHOUT_SEARCH = (
     (one_fit, "searched", lambda problem, best, *_: (best, [])),
     (one_fit, "is_at_noise", lambda *_: True), (structure_search, "is_at_noise", lambda *_: True))
-"""Of other structures than that of the separate steps."""
+"""No other structure is sought than that of the separate steps."""
 
 GIVEN_DENSITY = ((DensityOptions, "keywords", lambda _: {
     "level_count": 80, "cells_per_level": 1, "smoothing_weight": 1e-13,
     "translation_weight": 1e-12}),)
-"""Its grid and weights, whose choice takes most of an identification."""
+"""Grid and weights of the density are given; their choice takes most of an identification."""
 
 WITHOUT_CEILING = ((diagnose, "ceiling_of", lambda *_: None),)
-"""Train no learner on what a diagnosis leaves: it takes longer than most diagnoses."""
+"""No learner is trained on the residual of a diagnosis: it takes longer than most diagnoses."""
 
 
 def comparing(*names):
@@ -42,14 +42,14 @@ def comparing(*names):
 
 FEW_EFFECTS = (*WITHOUT_CEILING, *comparing(
     "amplifier_lag", "delay", "sensor_lag", "vibration_mode", "voltage_clipping"))
-"""That a diagnosis compares, and no learner of what it leaves."""
+"""A diagnosis compares five effects, and trains no learner."""
 
 FEW_WAVEFORMS = (
     (propose, "grid", lambda: [point for point in grid() if point.family.name == "sweep"][-2:]),
     (propose, "FACTORS", ()))
-"""Among which the next experiment is chosen: two sweeps, as they are."""
+"""The next experiment is one of two sweeps, as they are."""
 
 SHORT_PERIODS = (
     (several_axes, "orthogonal_multisines",
      partial(several_axes.orthogonal_multisines, period_s=0.1)),)
-"""Of the multisines of several axes, with lines every 10 Hz."""
+"""The multisines of several axes have lines every 10 Hz."""
