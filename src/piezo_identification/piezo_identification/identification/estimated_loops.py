@@ -209,14 +209,15 @@ def new_loops(
     after the voltage. `near` is an estimate from the same recordings with nearly the same creep and
     dynamics.
     """
-    names = keys_of_kind(recordings, "hysteresis")
-    segments = [_loops_again(simulated_recording(
-        model, recordings[name], read_late_s=read_late_s[name])) for name in names]
-    return density_of_parts([played(recordings[name]) for name in names], segments, near=near,
-                            **options.keywords())
+    simulated = [
+        simulated_recording(model, recordings[name], read_late_s=read_late_s[name])
+        for name in keys_of_kind(recordings, "hysteresis")]
+    return density_of_parts([each.part for each in simulated], list(map(_loops_again, simulated)),
+                            near=near, **options.keywords())
 
 
 def _loops_again(simulated: SimulatedRecording) -> HysteresisSegment:
+    """Return the input of the model's hysteresis, and the output that the residual asks for."""
     residual_um = simulated.measured_um - simulated.simulate()
     count = residual_um.size + samples_added(residual_um.size)
     lines = np.asarray(np.fft.rfftfreq(count), dtype=float)

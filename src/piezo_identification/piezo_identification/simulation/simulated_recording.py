@@ -513,7 +513,7 @@ class _RowVoltage:
 
 
 def _in_parts(voltage: _RowVoltage, effects: Collection[Effect], sample_period_s: float,
-             samples_per_mean: int) -> tuple[FloatArray, int]:
+              samples_per_mean: int) -> tuple[FloatArray, int]:
     """Return a recorded voltage divided into the parts in which its rows are simulated.
 
     Effects on the voltage that act within a row require several parts. Rows in which several

@@ -20,8 +20,8 @@ the row up to 1e-5 and acts behind the hysteresis (`as_rows_show`), unless it ri
 Between them, a row is simulated in parts; a longer lag hardly moves within a row."""
 
 LEAST_OVERSHOOT = 1e-2
-"""Smallest overshoot, relative to a step, that the hysteresis is given. Its part in the loops is of
-the square of that."""
+"""Smallest overshoot, relative to a step, that the hysteresis is given. It changes the
+loops in proportion to its square."""
 
 PARTS = 8
 """Parts of a row in which a lag moves the voltage. A mode with half a period in a row then rings

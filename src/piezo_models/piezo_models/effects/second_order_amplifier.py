@@ -11,8 +11,8 @@ from piezo_models.effects.effect import Evidence, Extent, parameter
 from piezo_models.effects.filtering import slowed
 
 LOWEST_QUALITY, HIGHEST_QUALITY = 0.05, 5.0
-"""Bounds of a fitted quality factor: of a lag that is nearly single, and of an amplifier that is
-nearly unstable."""
+"""Bounds of a fitted quality factor. At the lower one it is nearly a single lag; an amplifier above
+the upper one would be nearly unstable."""
 
 
 @dataclass(frozen=True)
