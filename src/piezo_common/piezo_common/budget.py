@@ -53,7 +53,8 @@ class Budget:
         """Return what was not done and why; empty if everything was done."""
         if not self.not_tried:
             return ""
-        why = "interrupted" if self.is_interrupted else f"the time of {self._seconds:g} s is over"
+        why = "interrupted" if self.is_interrupted else (
+            f"the time of {self._seconds:g} s does not suffice")
         return f"{why}; not {done}: {'; '.join(dict.fromkeys(self.not_tried))}"
 
 

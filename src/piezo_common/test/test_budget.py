@@ -41,7 +41,8 @@ def test_a_block_ends_when_its_share_of_the_time_is_over(clock):
         assert steps_until_the_end(clock, "others") == 6
         assert steps_until_the_end(clock) == 0
     assert budget.left_s == 0.0
-    assert budget.sentence() == "the time of 10 s is over; not tried: further steps; others"
+    assert budget.sentence() == (
+        "the time of 10 s does not suffice; not tried: further steps; others")
 
 
 def test_what_was_taken_before_and_what_is_to_be_written_count(clock):
@@ -49,7 +50,7 @@ def test_what_was_taken_before_and_what_is_to_be_written_count(clock):
     with spending(budget):
         assert steps_until_the_end(clock) == 5
     assert budget.left_s == 2.0
-    assert budget.sentence() == "the time of 10 s is over; not tried: further steps"
+    assert budget.sentence() == "the time of 10 s does not suffice; not tried: further steps"
 
 
 def test_without_a_budget_all_is_done(clock):

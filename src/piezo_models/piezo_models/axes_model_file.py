@@ -83,6 +83,7 @@ class BoucWenPart(Part):
     saturation_v: Positive = entry("Largest voltage that it takes.", unit="V")
     relaxation_v: Positive = entry("Voltage over which it takes it.", unit="V")
     unloading: NotNegative = entry("Factor of the decrease at a reversal.", unit="1")
+    exponent: Positive = entry("How sharply it saturates.", unit="1", default=1.0)
 
 
 class ActuatorPart(Part):

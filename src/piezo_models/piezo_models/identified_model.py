@@ -40,7 +40,8 @@ class IdentifiedModel:
     parameters; under "effects" a list with one dict for each effect."""
     rows: dict[str, dict[str, float]] = field(default_factory=dict)
     """For each recording, the instant at which its rows are read and the remaining delay:
-    `read_at_samples`, `delay_s` (missing if it cannot be determined) and `standard_deviation_s`."""
+    `read_at_samples`, `delay_s` (missing if it cannot be determined), `standard_deviation_s`, and
+    `is_straight` if the voltage is straight between the rows, not held."""
     visited: NDArray[np.bool_] | None = None
     """Cells of the density that the recordings determine, (L, L); lower triangular. The density in
     the other cells is extrapolated. None if this is not known."""

@@ -145,6 +145,9 @@ class RowsPart(Part):
     read_at_samples: Number = entry(
         "Instant at which a row's displacement is read, after its voltage: the logger's habit.",
         unit="sample periods")
+    is_straight: bool = entry(
+        "Whether the voltage is straight between the rows, as a generator plays it, not held.",
+        default=False)
     delay_s: Number | None = entry(
         "Remaining delay of the rows; left out where they do not determine it.", unit="s",
         default=None)

@@ -68,7 +68,7 @@ def built_model(document: ModelDocument) -> IdentifiedModel:
         created=document.created,
         uncertainties=_deviations(document.uncertainties),
         rows={name: {field: math.inf if value is None else value for field, value in part
-                     if field != "delay_s" or value is not None}
+                     if value is not False and (field != "delay_s" or value is not None)}
               for name, part in document.rows.items()},
         visited=_visited(document.visited),
         adequacy={component: part.model_dump(exclude_none=True)

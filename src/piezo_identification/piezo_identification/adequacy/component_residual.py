@@ -186,7 +186,7 @@ def _of_response(model: StageModel, data: FrequencyResponse) -> ComponentResidua
     """Return the residual of real and imaginary parts, scaled to the travel of the model."""
     measured = of_the_stage(data, model)
     modelled = model.small_signal_response(measured.frequency_hz)
-    gain = best_gain(model, modelled, measured.gain)
+    gain = best_gain(modelled, measured.gain)
     travel_um = model.hysteresis.travel_um / abs(gain)
     measured_um, left_um = (
         np.concatenate([part.real, part.imag])

@@ -46,6 +46,13 @@ MOST_UNCERTAIN = 0.5
 """Largest standard deviation, in sample periods, of an identifiable delay. Beyond it, rows read at
 the end of the hold cannot be distinguished from rows read at its beginning."""
 
+MOVES_ON = 0.5
+"""Smallest fraction of rows in which a voltage changes that may be straight between its rows."""
+
+STRAIGHT_SAMPLES = 1000
+"""Samples of the clock in a row whose voltage is straight up to the next one: many, because each
+moves on by a part of the row."""
+
 WHOLE = 1e-9
 """Times within this fraction of a sample period of a sample are equal to its time."""
 
@@ -64,6 +71,9 @@ class RowDelay:
     sample_period_s: float
     """Sample period of the recording."""
 
+    is_straight: bool = False
+    """Whether the voltage is straight between the rows, not held."""
+
     @property
     def is_identifiable(self) -> bool:
         """Whether the rows determine the delay."""
@@ -78,7 +88,8 @@ class RowDelay:
     def fields(self) -> dict[str, float]:
         """Return the numbers by their names in a model file; the delay only if identifiable."""
         delay = {"delay_s": self.delay_s} if self.is_identifiable else {}
-        return {"read_at_samples": self.read_at_samples, **delay,
+        straight = {"is_straight": True} if self.is_straight else {}
+        return {"read_at_samples": self.read_at_samples, **straight, **delay,
                 "standard_deviation_s": self.standard_deviation_s}
 
 
@@ -103,6 +114,29 @@ def rows_read_at_start(recording: Recording, read_at_samples: float) -> Recordin
     known = (instants >= 0.0) & (instants <= rows[-1])
     aligned = recording.select(known)
     return replace(aligned, displacement_um=_at(recording.displacement_um, instants[known]))
+
+
+def may_be_straight(recording: Recording) -> bool:
+    """Return whether the voltage may be straight between the rows: it moves in most of them.
+
+    It is if a generator plays it while a logger reads both columns at the times of the rows. Means
+    of samples are of held voltages.
+    """
+    part = played(recording)
+    moves = np.diff(part.voltage_v) != 0.0
+    return samples_per_mean(part) == 1 and bool(np.mean(moves) > MOVES_ON)
+
+
+def with_straight_voltage(recording: Recording) -> Recording:
+    """Return a recording whose voltage is straight between its rows, not held.
+
+    The displacement that answers a straight line from row to row is the mean, over the hold of the
+    row, of the one that answers a held voltage. The rows therefore become means over their hold.
+    """
+    count = STRAIGHT_SAMPLES
+    return replace(recording, sample_rate_hz=count * recording.sample_rate_hz,
+                   sample_index=count * recording.sample_index,
+                   gaps=[(count * first, count * missing) for first, missing in recording.gaps])
 
 
 def read_as(recording: Recording, read_at_samples: float) -> float:

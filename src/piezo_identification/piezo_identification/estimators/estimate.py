@@ -132,7 +132,16 @@ class Estimate:
     @property
     def residual_rms(self) -> float:
         """Residual of the chosen order, in the unit of the fitted output."""
-        return next(trial.residual_rms for trial in self.trials if trial.order == self.order)
+        return self._chosen.residual_rms
+
+    @property
+    def information(self) -> float:
+        """Bayesian information criterion of the chosen order."""
+        return self._chosen.information
+
+    @property
+    def _chosen(self) -> OrderTrial:
+        return next(trial for trial in self.trials if trial.order == self.order)
 
     @property
     def delay_s(self) -> float:

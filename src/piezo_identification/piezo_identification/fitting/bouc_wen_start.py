@@ -19,6 +19,9 @@ RELAXATIONS = tuple(np.geomspace(0.03, 3.0, 8))
 UNLOADINGS = (0.0, 1.0, 2.0)
 """Factors of unloading that are tried with each of them."""
 
+EXPONENTS = (1.0, 2.0)
+"""Exponents that are tried with each pair of these."""
+
 LEAST_TAKEN = 1e-3
 """Smallest saturation, relative to the largest possible one."""
 
@@ -46,10 +49,10 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
     measured_um = _joined(bare_parts, [part.measured_um for part in bare_parts])
     half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
     found = []
-    for relaxation, unloading in product(RELAXATIONS, UNLOADINGS):
+    for relaxation, unloading, exponent in product(RELAXATIONS, UNLOADINGS, EXPONENTS):
         relaxation_v = half_v * relaxation
         most_v = STEEPEST * relaxation_v / (1.0 + unloading)
-        loops = BoucWenHysteresis(most_v, relaxation_v, unloading)
+        loops = BoucWenHysteresis(most_v, relaxation_v, unloading, exponent)
         taken_um = without_um - _joined(
             bare_parts, [part.simulate((loops,)) for part in bare_parts])
         gain, lost, *_ = _regression([without_um, -taken_um, *bends], measured_um)[0]

@@ -64,16 +64,16 @@ class MeasuredResponse:
         """Return real and imaginary parts of the weighted error with the best gain, (2 N,)."""
         modelled = self.weight * model.small_signal_response(self.frequency_hz)
         return np.asarray(
-            self.weighted - best_gain(model, modelled, self.weighted) * modelled).view(float)
+            self.weighted - best_gain(modelled, self.weighted) * modelled).view(float)
 
 
-def best_gain(model: StageModel, modelled: ComplexArray, measured: ComplexArray) -> complex:
+def best_gain(modelled: ComplexArray, measured: ComplexArray) -> complex:
     """Return the factor by which the response of the linear part of a model fits one measured best.
 
-    It is that of small signals, which no other recording shows. Behind hysteresis, it lags by the
-    same angle at all frequencies.
+    It is that of small signals, which no other recording shows. Behind hysteresis, which the model
+    need not know, it lags by the same angle at all frequencies.
     """
     along = np.vdot(modelled, measured)
-    most_rad = MOST_LOSS_RAD if model.has_hysteresis else 0.0
-    turn = np.exp(1j * np.clip(np.angle(along), -most_rad, 0.0))
+    angle = np.angle(along if along.real > 0.0 else -along)
+    turn = np.exp(1j * np.clip(angle, -MOST_LOSS_RAD, 0.0))
     return complex((along * turn.conj()).real / np.vdot(modelled, modelled).real * turn)

@@ -19,7 +19,7 @@ from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
-from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
+from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel, modes_in_series
 from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
@@ -86,9 +86,9 @@ SETTINGS = SearchSettings()
 
 BOUC_WEN = "a Bouc-Wen hysteresis"
 
-MODE_IN_SERIES = "its mode in series"
-"""Tried again after a part was left out: beside a part that is not needed, the participation of an
-only mode may differ from one."""
+MODES_IN_SERIES = "its modes in series"
+"""Tried again after a part was left out: beside a part that is not needed, the participations of
+parallel modes may differ from those of modes in series."""
 
 Tried = tuple[str, WholeFit]
 """Description of a change of the structure, and the fit with it."""
@@ -185,7 +185,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
 
     No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
     line, or of a curve if that is not enough. If it is promising, the pasts of the recordings are
-    sought with the fitted equation until that no longer helps.
+    sought with the fitted equation until that no longer helps. Modes that stand for errors of the
+    loops would hide their shape, so a start with the loudest mode alone follows.
 
     `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
     fit, even if the given one is better, and all fits in the order they were made.
@@ -207,12 +208,28 @@ def fitted_with_bouc_wen(problem: WholeModel,
             found, fit = again, closer
         return found, fit
 
-    with_line, start = problem.with_bouc_wen(best.model)
-    found, fit = fitted(BOUC_WEN, with_line, start)
-    if not is_at_noise(found, fit):
-        curved, closer = fitted(f"{BOUC_WEN}, a curve", with_line.with_curve(start), start)
-        found, fit = (curved, closer) if is_better(closer, fit) else (found, fit)
-    return found, fit, tried
+    fits = list[Begun]()
+    for model, what in _with_fewer_modes(problem, best.model):
+        with_line, start = problem.with_bouc_wen(model)
+        for curve in ("", ", a curve"):
+            if not any(is_at_noise(*each) for each in fits):
+                where = with_line.with_curve(start) if curve else with_line
+                fits.append(fitted(f"{BOUC_WEN}{curve}{what}", where, start))
+    found = fits[0]
+    for other in fits[1:]:
+        found = other if is_better(other[1], found[1]) else found
+    return *found, tried
+
+
+def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
+    """Yield a model, and with the loudest of several modes alone, with what to add to its name."""
+    yield model, ""
+    others = tuple(effect for effect in model.effects if not isinstance(effect, VibrationMode))
+    modes = len(model.effects) - len(others) + len(model.dynamics.mode_frequencies_rad_per_s)
+    if modes > 1:
+        yield replace(model, effects=others, dynamics=replace(
+            loudest_mode(model, problem.sample_period_s),
+            time_constant_s=model.dynamics.time_constant_s)), ", the loudest mode"
 
 
 def is_promising(start: WholeFit, best: WholeFit) -> bool:
@@ -246,7 +263,7 @@ def searched(problem: WholeModel, best: WholeFit,
                 tried.append(("the same, on from there", again))
                 best = again if is_better(again, best) else best
             if is_simpler:
-                refuted.discard(MODE_IN_SERIES)
+                refuted.discard(MODES_IN_SERIES)
             _screen(problem, best, [
                 structure for structure in (
                     _with_less(best) if is_simpler else structures(problem, best))
@@ -348,6 +365,11 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
     bare = replace(_electric(given, 0.0), creep=_creep_up_to(given.creep, ringing))
     effects = (*_in_phase(modes), *others)
     what = f"{len(modes)} modes that ring"
+    if len(modes) > 1:
+        # Modes of a wrong order stand for errors of the loops, and are hard to remove again.
+        yield Structure("its loudest mode alone, with an amplifier's lag", replace(
+            bare, dynamics=loudest_mode(given, problem.sample_period_s),
+            effects=(AmplifierLag(lag_s), *others)), delay_s)
     yield Structure(f"{what}, with an amplifier's lag", replace(
         bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
     if is_loop_recorded:
@@ -577,11 +599,7 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
         mode = modes[place]
         yield Structure(f"without the {mode.name} of {mode.frequency_rad_per_s:.4g} rad/s",
                         _without(model, place), delay_s)
-    if len(modes) == 1 and not model.dynamics.mode_frequencies_rad_per_s:
-        [(place, mode)] = modes.items()
-        yield Structure(MODE_IN_SERIES, replace(_without(model, place), dynamics=replace(
-            model.dynamics, mode_frequencies_rad_per_s=(mode.frequency_rad_per_s,),
-            damping_ratios=(mode.damping_ratio,))), delay_s)
+    yield from _in_series(model, delay_s)
     for place, effect in enumerate(model.effects):
         if place not in modes:
             yield Structure(f"without the {effect.name}", _without(model, place), delay_s)
@@ -601,6 +619,25 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
                         replace(model, creep=creep), delay_s)
 
 
+def _in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
+    """Yield the model with its parallel modes in series, if these have fewer parameters.
+
+    A real zero of parallel modes often cancels the electric lag, which is then shorter in series.
+    """
+    modes = [effect for effect in model.effects if isinstance(effect, VibrationMode)]
+    is_coupled = any(type(mode) is CoupledMode for mode in modes)
+    if not (is_coupled or len(modes) == 1) or model.dynamics.mode_frequencies_rad_per_s:
+        return
+    found = modes_in_series(modes, max(mode.frequency_rad_per_s for mode in modes))
+    if found is not None:
+        dynamics, lead_s = found
+        lag_s = model.dynamics.time_constant_s - lead_s
+        yield Structure(MODES_IN_SERIES, *_later(replace(
+            model, dynamics=replace(dynamics, time_constant_s=max(lag_s, 0.0)),
+            effects=tuple(effect for effect in model.effects if effect not in modes),
+            ), delay_s, min(lag_s, 0.0)), is_far=True)
+
+
 def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structure:
     """Return the model without the mode in series that is nearest to an antiresonance, and that."""
     dynamics = model.dynamics
@@ -618,7 +655,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
 
 
 def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
-    """Yield models with a lag at another place, and with modes that are not in phase."""
+    """Yield models with a lag at another place, and with other modes in parallel."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
     ahead = [place for place, effect in enumerate(model.effects)
@@ -636,6 +673,11 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         yield Structure("its modes out of phase", replace(model, effects=tuple(
             CoupledMode(*effect.parameters().values()) if type(effect) is VibrationMode else effect
             for effect in model.effects)), delay_s)
+    modes = [effect for effect in model.effects if isinstance(effect, VibrationMode)]
+    merged = apart(modes)
+    if len(merged) < len(modes):
+        yield Structure("its overlapping modes as one", replace(model, effects=(
+            *merged, *(effect for effect in model.effects if effect not in modes))), delay_s)
     late_s = _lag_of_coupled_modes(model)
     if late_s > 0.0:
         yield Structure("its modes in phase, behind a delay", replace(model, effects=tuple(

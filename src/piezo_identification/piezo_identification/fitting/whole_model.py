@@ -11,6 +11,7 @@ import numpy as np
 
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.conditioning.row_alignment import with_straight_voltage
 from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
 from piezo_identification.fitting.bouc_wen_start import with_bouc_wen
 from piezo_identification.fitting.dataset import dataset_of
@@ -112,6 +113,11 @@ class WholeFit:
         effects.sort(key=lambda effect: 0 if effect.place in BEFORE_DELAY else
                      1 if isinstance(effect, Delay) else 2)
         return replace(self.model, effects=tuple(effects))
+
+    @property
+    def rms_um(self) -> FloatArray:
+        """Return the RMS residual of each recording and response on its fitted rows, (R,)."""
+        return np.array([np.sqrt(np.mean(fitted**2)) for fitted, _ in self.residual_um])
 
     @property
     def density_changes(self) -> FloatArray:
@@ -263,6 +269,19 @@ class WholeModel:
         problem._dataset = replace(self._dataset, simulated=tuple(simulated))
         return problem
 
+    def with_straight_voltage(self, index: int) -> "WholeModel":
+        """Return the problem with a recording whose voltage is straight between its rows."""
+        problem = copy(self)
+        problem.about_here()
+        simulated, recordings = list(self._dataset.simulated), list(self._dataset.recordings)
+        before = simulated[index]
+        recordings[index] = with_straight_voltage(recordings[index])
+        changed = simulated_recording(before.model, recordings[index], before.past_v)
+        simulated[index] = changed.with_free_gain() if before.has_free_gain else changed
+        problem._dataset = replace(
+            self._dataset, simulated=tuple(simulated), recordings=tuple(recordings))
+        return problem
+
     def with_held_out_rows(self, fit: WholeFit) -> "WholeModel":
         """Return the problem about a fit with all rows, once no structure is chosen any more.
 
@@ -360,9 +379,8 @@ class WholeModel:
 
     def over_noise(self, fit: WholeFit) -> FloatArray:
         """Return the residual of each recording and response over its noise and accuracy, (R,)."""
-        residual_um = [np.sqrt(np.mean(residual**2)) for residual, _ in fit.residual_um]
         noise_um = [*self.noise.noise_um, *(each.noise for each in self.responses)]
-        return np.array(residual_um) / np.hypot(noise_um, fit.accuracy_um)
+        return fit.rms_um / np.hypot(noise_um, fit.accuracy_um)
 
     def fastest_over_noise(self, fit: WholeFit) -> float:
         """Return the residual of the fastest data, over its noise; responses are the fastest."""

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hysteresis estimated from all of its recordings, of stages that were cycled before or not."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from piezo_identification.conditioning.row_alignment import with_straight_voltage
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_estimate import (
@@ -26,7 +27,11 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
-from piezo_identification.identification.given_data import Data, keys_of_kind, of_kind
+from piezo_identification.identification.given_data import (
+    Data,
+    keys_of_kind,
+    of_kind,
+)
 from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
@@ -198,7 +203,7 @@ def _as_cycled(
 
 def new_loops(
     recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
-    model: StageModel, read_late_s: Mapping[str, float],
+    model: StageModel, read_late_s: Mapping[str, float], straight: Collection[str] = (),
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
@@ -206,11 +211,14 @@ def new_loops(
     output of the model's hysteresis.
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
-    after the voltage. `near` is an estimate from the same recordings with nearly the same creep and
+    after the voltage; the voltages of those in `straight` are straight between their rows, not
+    held. `near` is an estimate from the same recordings with nearly the same creep and
     dynamics.
     """
     simulated = [
-        simulated_recording(model, recordings[name], read_late_s=read_late_s[name])
+        simulated_recording(
+            model, with_straight_voltage(recordings[name]) if name in straight
+            else recordings[name], read_late_s=read_late_s[name])
         for name in keys_of_kind(recordings, "hysteresis")]
     return density_of_parts([each.part for each in simulated], list(map(_loops_again, simulated)),
                             near=near, **options.keywords())

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Conditioning of the data given to an identification: checks, outliers, gaps, signs, and rows."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,11 @@ from piezo_identification.conditioning.outlier_samples import (
     with_jump_rows_marked,
     with_outliers_marked,
 )
-from piezo_identification.conditioning.row_alignment import read_as, rows_read_at_start
+from piezo_identification.conditioning.row_alignment import (
+    read_as,
+    rows_read_at_start,
+    with_straight_voltage,
+)
 from piezo_identification.conditioning.segments import (
     Recordings,
     experiment_of,
@@ -118,6 +122,14 @@ def rising_with_voltage(
     note("the displacement falls as the voltage rises: its sign is changed throughout")
     return {name: replace(data, gain=-data.gain) if isinstance(data, FrequencyResponse)
             else reversed_displacement(data) for name, data in recordings.items()}
+
+
+def with_straight_voltages(recordings: Mapping[str, Data],
+                           straight: Collection[str]) -> dict[str, Data]:
+    """Return recordings, those named with a voltage that is straight between their rows."""
+    return {name: with_straight_voltage(data)
+            if name in straight and isinstance(data, Recording) else data
+            for name, data in recordings.items()}
 
 
 def aligned(

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from piezo_common.budget import Budget, spending, while_time_lasts
 from piezo_common.cancellation import checking
 from piezo_identification.adequacy.component_adequacy import (
@@ -27,12 +29,14 @@ from piezo_identification.conditioning.segments import Recordings, experiment_of
 from piezo_identification.conditioning.waveforms import played, turns_inside
 from piezo_identification.estimators.estimate import unidentified_parameters
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
+from piezo_identification.estimators.frequency_response.response_hold import of_the_stage
 from piezo_identification.estimators.frequency_response.response_model import (
     ANY_ORDER,
     ResponseModel,
     ResponseOrder,
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
+from piezo_identification.fitting.measured_response import best_gain
 from piezo_identification.identification.estimated_loops import (
     CHOSEN_BY_DATA,
     DensityOptions,
@@ -47,6 +51,7 @@ from piezo_identification.identification.given_data import (
     conditioned_data,
     given_data,
     of_kind,
+    with_straight_voltages,
 )
 from piezo_identification.identification.linear_dynamics import (
     SECOND_PASS,
@@ -81,6 +86,9 @@ from piezo_recorder.reading.recording import Recording
 __all__ = ["IdentificationCancelled", "identify"]
 
 OUTPUT_ERROR = "output-error"
+
+LEAST_LOSS_DEGREES = 0.1
+"""Smallest angle of a response behind hysteresis that is reported."""
 
 
 def identify(
@@ -190,10 +198,14 @@ def identify(
             steps, conditioned, order, density, stages, note)
         fitted, read_at, linear = together.fitted, together.read_at, steps.linear
         report_starts(steps.recordings, steps.cycled, linear, steps.first_rise, note)
+        conditioned = with_straight_voltages(conditioned, together.straight)
         recordings, read_at = validation_as_read(
-            fitted.model, conditioned, aligned(conditioned, read_at), read_at)
-        rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear)
+            fitted.model, conditioned, aligned(conditioned, read_at), read_at,
+            bool(together.straight))
+        rows = row_delays(fitted.model, recordings, read_at, read_at_samples, linear,
+                          together.straight)
         report_row_delays(rows, note)
+        report_loss(fitted.model, dynamics, note)
         report_uncertain_parameters(fitted, note)
         report_implausible(implausible_model(fitted.model, recordings), note)
         stages.begin("validation", 0.95)
@@ -350,6 +362,18 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
                 f"on a stage that was never cycled: its first rise has {first_rise.whole_um:.3g}"
                 " um that never return, which the model describes separately")
         note(Detail(f"start of the {name}: {'; '.join(words)}"))
+
+
+def report_loss(model: StageModel, dynamics: object, note: Callable[[str], object]) -> None:
+    """Report the angle of a response that a model without hysteresis leaves out."""
+    if model.has_hysteresis or not isinstance(dynamics, FrequencyResponse):
+        return
+    measured = of_the_stage(dynamics, model)
+    angle = np.degrees(np.angle(best_gain(
+        model.small_signal_response(measured.frequency_hz), measured.gain)))
+    if angle < -LEAST_LOSS_DEGREES:
+        note(f"the response lags by {-angle:.2g} degrees at all frequencies, as small sines behind "
+             "hysteresis do; the model leaves this out: give --hysteresis, too")
 
 
 def report_implausible(found: Sequence[str], note: Callable[[str], object]) -> None:

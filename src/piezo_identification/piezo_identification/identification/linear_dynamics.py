@@ -224,7 +224,7 @@ def estimate_linear_dynamics(
         begin("dynamics, given the creep" if turn else "dynamics", 0.5 * turn + 0.3)
         if isinstance(dynamics, FrequencyResponse):
             return found.with_response(_from_response(
-                dynamics, found, order, len(hysteresis) > 0)), driving
+                dynamics, found, order, bool(hysteresis))), driving
         if needs_hysteresis:
             driving = aligned_density(hysteresis, found, driving)[0]
         density = None if driving is None else driving.model()
@@ -346,12 +346,18 @@ def aligned_density(
 def _from_response(
     measured: FrequencyResponse, found: LinearDynamics, order: ResponseOrder, has_loss: bool,
 ) -> Estimate:
+    """Fit a response with or, unless the stage is known to have hysteresis, without its loss."""
     if "creep" in found.estimates:
         measured = replace(measured, gain=measured.gain / found.creep.response(
             measured.frequency_hz))
         # The requested number of pairs is already in the creep of the recording.
         order = order if order.creep_pairs is None else replace(order, creep_pairs=0)
-    return estimate_from_response(measured, order, has_loss=has_loss)
+    lossy = estimate_from_response(measured, order, has_loss=True)
+    if has_loss:
+        return lossy
+    lossless = estimate_from_response(measured, order)
+    gain = 0.5 * (lossless.information - lossy.information)
+    return lossy if gain > DECISIVE else lossless
 
 
 def _likely(found: LinearDynamics) -> list[ModeOrder]:

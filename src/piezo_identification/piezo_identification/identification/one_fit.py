@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last step of an identification: a joint fit of the whole model to all recordings."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ import numpy as np
 
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.conditioning.row_alignment import LATEST_READING
+from piezo_identification.conditioning.row_alignment import LATEST_READING, may_be_straight
 from piezo_identification.conditioning.segments import experiment_of
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.estimate import DECISIVE
@@ -71,6 +71,8 @@ class _State:
 
     read_late_s: Mapping[str, float]
     """Time by which each recording reads its rows after the voltage, without a negative delay."""
+    straight: frozenset[str] = frozenset()
+    """Recordings whose voltage is straight between their rows, not held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,10 @@ class _Search:
 
     given: FittedModel
     read_late_s: Mapping[str, float]
-    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None
+    new_loops: Callable[
+        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None
+    may_be_straight: Collection[str]
+    """Recordings whose voltage may be straight between their rows."""
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
@@ -97,7 +102,7 @@ class _Search:
 
         def with_new_loops(start: Structure) -> WholeModel:
             renewed.append(self._newly_estimated(
-                self.problem.fit(start.model, start.delay_s, 0), self.read_late_s))
+                self.problem.fit(start.model, start.delay_s, 0), self.read_late_s, ()))
             return self.problem.with_hysteresis(
                 replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
 
@@ -111,7 +116,7 @@ class _Search:
             for problem, fit in promising]
         if rival is not None and not is_promising(states[0].best, rival):
             return states[0]
-        first = self._read_with_voltage(self._with_renewed_loops(states[0], BEGUN), BEGUN)
+        first = self._read_otherwise(self._with_renewed_loops(states[0], BEGUN), BEGUN)
         drifting = self._with_bouc_wen(first, BEGUN)
         # A search behind loops of the wrong kind would describe them by dynamics.
         is_drifting = is_better(drifting.best, first.best)
@@ -208,25 +213,47 @@ class _Search:
                     state, fitted=self._given_with_line(problem), best=best, problem=problem)
         return state
 
-    def _read_with_voltage(self, state: _State, fraction: float) -> _State:
-        """Return a state, or a better one in which a recording reads its rows with their voltage.
+    def _read_otherwise(self, state: _State, fraction: float) -> _State:
+        """Return a state, or a better one in which the rows of a recording are read otherwise.
 
-        The separate steps found when rows are read beside dynamics that may have been wrong.
+        The separate steps found when rows are read beside dynamics that may have been wrong, and
+        took every voltage as held.
         """
         for index, name in enumerate(self.names):
-            if not state.read_late_s[name] or is_at_noise(state.problem, state.best):
-                continue
-            with while_time_lasts("rows that are read with their voltage"):
-                check_cancelled()
-                change = f"rows of the {name} read with their voltage"
-                self.report(change, fraction)
-                problem = state.problem.read_with_voltage(index)
-                fit = problem.again(state.best, SETTINGS.steps)
-                self.tried.append((change, fit))
-                state = _better(self._with_renewed_loops(replace(
-                    state, best=fit, problem=problem,
-                    read_late_s={**state.read_late_s, name: 0.0}), fraction), state)
+            with while_time_lasts("rows that are read at another time"):
+                if state.read_late_s[name] and not is_at_noise(state.problem, state.best):
+                    state = _better(self._refitted(
+                        replace(state, problem=state.problem.read_with_voltage(index),
+                                read_late_s={**state.read_late_s, name: 0.0}),
+                        f"rows of the {name} read with their voltage", fraction), state)
+                if name in self.may_be_straight and not is_at_noise(state.problem, state.best):
+                    state = _better(self._refitted(
+                        replace(state, problem=state.problem.with_straight_voltage(index),
+                                read_late_s={**state.read_late_s, name: 0.0},
+                                straight=state.straight | {name}),
+                        f"a straight voltage between the rows of the {name}", fraction), state)
         return state
+
+    def _refitted(self, state: _State, change: str, fraction: float) -> _State:
+        """Return a state whose problem has changed, with all parameters and the loops fitted.
+
+        If a recording was explained much better step by step, the loops are also estimated behind
+        those dynamics: the better a recording is explained the more it counts, so that no step of a
+        fit leads back there.
+        """
+        check_cancelled()
+        self.report(change, fraction)
+        fit = state.problem.again(state.best, SETTINGS.steps)
+        self.tried.append((change, fit))
+        refitted = replace(state, best=fit)
+        if is_promising(fit, state.best):
+            refitted = self._with_renewed_loops(refitted, fraction)
+        begun = self.tried[0][1]
+        if np.any(fit.rms_um > SETTINGS.wrong * begun.rms_um):
+            model = replace(fit.model, dynamics=begun.model.dynamics, effects=begun.model.effects)
+            refitted = _better(self._with_renewed_loops(replace(
+                state, best=state.problem.fit(model, begun.delay_s, 0)), fraction), refitted)
+        return refitted
 
     def _from(self, start: _State, begin: float, length: float) -> _State:
         """Search for the structure, and estimate the loops again after that."""
@@ -256,7 +283,7 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._newly_estimated(before.best, before.read_late_s)
+            density = self._newly_estimated(before.best, before.read_late_s, before.straight)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
@@ -266,10 +293,10 @@ class _Search:
                                best=again, problem=problem)
         return before
 
-    def _newly_estimated(self, fit: WholeFit,
-                         read_late_s: Mapping[str, float]) -> DensityEstimate:
+    def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],
+                         straight: Collection[str]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit))
+        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight)
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -283,6 +310,8 @@ class FittedTogether:
     """The best of all models that were tried, including the initial one."""
     read_at: dict[str, float]
     """Instants at which the rows of each recording are read, in sample periods."""
+    straight: frozenset[str] = frozenset()
+    """Recordings whose voltage is straight between their rows."""
     fit: WholeFit | None = None
     """None if the model is that of the separate steps."""
     is_at_noise: bool = False
@@ -294,7 +323,8 @@ def _better(other: _State, state: _State) -> _State:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    new_loops: Callable[[StageModel, Mapping[str, float]], DensityEstimate] | None,
+    new_loops: Callable[
+        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> FittedTogether:
@@ -302,8 +332,9 @@ def fitted_together(
 
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
-    `new_loops` estimates the hysteresis again with a fitted model; its second argument is the time
-    in s by which each recording reads its rows late. It is None if no recording of loops was given.
+    `new_loops` estimates the hysteresis again with a fitted model, the time in s by which each
+    recording reads its rows late, and the recordings whose voltage is straight between their rows.
+    It is None if no recording of loops was given.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}
@@ -328,7 +359,7 @@ def fitted_together(
             fitted.model,
             with_generator_edges(fitted.model, list(used.values()), late_of_used_s),
             late_of_used_s, late_s,
-            [ResponseSearch(of_the_stage(each, fitted.model)).measured_response()
+            [ResponseSearch(of_the_stage(each, fitted.model), has_loss=True).measured_response()
              for each in responses],
             fitted.model.hysteresis.is_line and not any(
                 experiment_of(name) == "hysteresis" for name in used))
@@ -336,7 +367,9 @@ def fitted_together(
         note(f"the model is that of the separate steps, as {error}")
         return FittedTogether(fitted, dict(read_at))
     search = _Search(
-        problem, list(parts), fitted, read_late_s, new_loops, partial(_has_order, order), report)
+        problem, list(parts), fitted, read_late_s, new_loops,
+        [name for name in parts if may_be_straight(used[name])], partial(_has_order, order),
+        report)
     state = search.with_held_out_rows(search.best(delay_s or None))
     best = state.best
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s
@@ -354,8 +387,8 @@ def fitted_together(
              "check that their rows of voltage and displacement belong together")
     note(Detail(f"one fit of the whole model:\n{structure_table(search.tried, best)}",
                 partial(structure_figure, search.tried, best)))
-    return FittedTogether(with_fit(state.fitted, best), dict(read_at) | read_at_samples, best,
-                          is_at_noise(state.problem, best))
+    return FittedTogether(with_fit(state.fitted, best), dict(read_at) | read_at_samples,
+                          state.straight, best, is_at_noise(state.problem, best))
 
 
 def _long_ones(model: StageModel, recordings: Mapping[str, Recording]) -> dict[str, Recording]:
@@ -433,8 +466,7 @@ def structure_table(tried: Tried, best: WholeFit) -> str:
     lines = [f"{'structure':45}{'parameters':>12}{'evidence':>12}  residual (um; that of a "
              "response in its unit)"]
     for change, fit in tried:
-        residual_um = ", ".join(
-            f"{np.sqrt(np.mean(residual**2)):.3g}" for residual, _ in fit.residual_um)
+        residual_um = ", ".join(f"{rms_um:.3g}" for rms_um in fit.rms_um)
         lines.append(f"{change:45}{fit.numbers:12d}{fit.evidence_over(first):12.1f}  {residual_um}"
                      f"{'  <- written' if fit is best else ''}")
     return "\n".join(lines)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """When the rows of each recording are read, and the remaining delay of the model."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def found_readings(recordings: Mapping[str, Data], linear: LinearDynamics) -> di
 
 def validation_as_read(
     model: StageModel, conditioned: Mapping[str, Data], recordings: Mapping[str, Data],
-    read_at: Mapping[str, float],
+    read_at: Mapping[str, float], some_are_straight: bool = False,
 ) -> tuple[dict[str, Data], dict[str, float]]:
     """Read the validation as the dynamics only if that reduces its error.
 
@@ -58,7 +58,8 @@ def validation_as_read(
     read, instants = dict(recordings), dict(read_at)
     for name, data in conditioned.items():
         if name.split()[0] == "validation" and isinstance(data, Recording):
-            read[name], instants[name] = read_as_explained(model, data, [read_at[name]])
+            read[name], instants[name] = read_as_explained(
+                model, data, [read_at[name]], some_are_straight)
     return read, instants
 
 
@@ -76,11 +77,12 @@ def delays_of_rows_s(
 
 def row_delays(
     model: StageModel, recordings: Mapping[str, Data], found: Mapping[str, float],
-    read_at_samples: float, linear: LinearDynamics,
+    read_at_samples: float, linear: LinearDynamics, straight: Collection[str],
 ) -> dict[str, RowDelay]:
     """Estimate the remaining delay of each aligned recording, by its name.
 
-    `read_at_samples` is the instant given to `identify`. Frequency responses are omitted.
+    `read_at_samples` is the instant given to `identify`. The voltages of the recordings in
+    `straight` are straight between their rows. Frequency responses are omitted.
     """
     rows = {}
     for name, recording in recordings.items():
@@ -92,13 +94,14 @@ def row_delays(
             delay = estimate.delay
             remaining_s = 0.0 if delay.is_significant else delay.delay_s
             rows[name] = RowDelay(
-                read_at, remaining_s, delay.standard_deviation_s, delay.sample_period_s)
+                read_at, remaining_s, delay.standard_deviation_s, delay.sample_period_s,
+                name in straight)
             continue
         run = after_saturation(model, recording)
         kept = ~run.outlier[run.settled] & away_from_jumps(run.voltage_v[run.settled])
         rows[name] = RowDelay(read_at, *remaining_delay(
             run.measured_um[run.settled], run.fitted_um(), run.sample_period_s,
-            np.ones((run.settled.size, 1)), kept), run.sample_period_s)
+            np.ones((run.settled.size, 1)), kept), run.sample_period_s, name in straight)
     return rows
 
 
@@ -113,6 +116,7 @@ def report_row_delays(rows: Mapping[str, RowDelay], note: Callable[[str], object
             remaining = f"a delay of {scale * row.delay_s:.3g} +- {deviation} remains"
         elif row.is_identifiable:
             remaining = f"no significant delay remains (+- {deviation})"
-        text = (f"rows of the {name}: read {row.read_at_samples:.4g} sample periods after their "
-                f"voltage; {remaining}")
-        note(text if row.read_at_samples else Detail(text))
+        read = (f"read {row.read_at_samples:.4g} sample periods after their voltage"
+                if not row.is_straight else "the voltage is taken as straight between them")
+        text = f"rows of the {name}: {read}; {remaining}"
+        note(text if row.read_at_samples or row.is_straight else Detail(text))

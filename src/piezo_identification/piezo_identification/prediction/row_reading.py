@@ -7,9 +7,11 @@ import numpy as np
 
 from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.row_alignment import (
+    may_be_straight,
     read_as,
     reading_at_jumps,
     rows_read_at_start,
+    with_straight_voltage,
 )
 from piezo_identification.conditioning.segments import longest_stretch
 from piezo_identification.conditioning.sensor_sign import sign_text
@@ -36,7 +38,8 @@ def read_as_identified(identified: IdentifiedModel,
     """
     return read_as_explained(
         identified.model, recording,
-        [row["read_at_samples"] for row in identified.rows.values()])
+        [row["read_at_samples"] for row in identified.rows.values()],
+        any(row.get("is_straight") for row in identified.rows.values()))
 
 
 def all_as_identified(
@@ -61,6 +64,9 @@ def all_as_identified(
             sentences.append(
                 f"{recording.path}: rows are taken to be read {read_at:.4g} sample periods after "
                 "their voltage, which the model explains better")
+        elif read is not recording:
+            sentences.append(f"{recording.path}: the voltage is taken as straight between the "
+                             "rows, which the model explains better")
     return aligned, sentences
 
 
@@ -107,18 +113,22 @@ def _gain_sentences(prediction: Prediction, path: str) -> list[str]:
 
 def read_as_explained(
     model: StageModel, recording: Recording, read_at_samples: Sequence[float],
+    may_have_straight: bool = False,
 ) -> tuple[Recording, float]:
     """Align the rows of a recording with the reading time for which a model fits best; return both.
 
     Reading times are given in sample periods after the voltage of a row changed; 0 and the time
-    that jumps show are always tried. Raise ValueError if the recording has gaps, or is too short.
+    that jumps show are always tried, and, if wanted, a voltage that is straight between the rows.
+    Raise ValueError if the recording has gaps, or is too short.
     """
     instants = {read_as(recording, instant) for instant in read_at_samples}
     instants |= {reading_at_jumps(recording) or 0.0}
-    if instants <= {0.0}:
-        return recording, 0.0
     tried = [(rows_read_at_start(recording, instant), instant)
              for instant in sorted({0.0, *instants})]
+    if may_have_straight and may_be_straight(recording):
+        tried.append((with_straight_voltage(recording), 0.0))
+    if len(tried) == 1:
+        return recording, 0.0
 
     def error_um(entry: tuple[Recording, float]) -> float:
         signed, _ = conditioned(model, entry[0])

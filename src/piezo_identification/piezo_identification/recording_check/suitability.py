@@ -33,6 +33,11 @@ class Needs:
     rows_per_branch: int = 20
     """Fewest rows in a hold from which creep can be estimated, and between reversals for which fast
     cycles show loops, if the dynamics are known."""
+    slow_share: float = 0.5
+    """Smallest fraction of the time that slow cycles take if faster ones are in the same file."""
+    inside: float = 0.1
+    """Smallest distance of a reversal of smaller loops from the ends of the voltage, as a fraction
+    of its swing."""
     rows_per_ringing: float = 5.0
     """Fewest rows in a period of ringing; with fewer, it may be an alias of a faster one."""
     followed: float = 0.9
@@ -159,13 +164,13 @@ def _hysteresis(check: RecordingCheck) -> Suitability:
     if waveform.kind is Kind.SQUARE:
         return Suitability("no", "the voltage takes two levels only: give slow cycles")
     rows = waveform.branch_s / check.sample_period_s
-    if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s and (
-            rows >= NEEDS.rows_per_branch and _has_loops(check)):
-        return Suitability("partly", f"{waveform.branch_s:.3g} s between reversals are fast: give "
-                           "--dynamics, too, or vibrations and lags count as hysteresis")
     if waveform.branch_s <= waveforms.SETTINGS.slow_branch_s:
-        return Suitability("no", f"{waveform.branch_s:.3g} s between reversals are too fast: "
-                           "vibrations and lags would count as hysteresis; take more than "
+        if rows >= NEEDS.rows_per_branch and _has_loops(check) or _has_slow_loops(check):
+            return Suitability("partly", f"{waveform.branch_s:.3g} s between most reversals are "
+                               "fast: give --dynamics, too, or vibrations and lags count as "
+                               "hysteresis")
+        return Suitability("no", f"{waveform.branch_s:.3g} s between most reversals are too fast: "
+                           "vibrations and lags would count as hysteresis; take several times "
                            f"{waveforms.SETTINGS.slow_branch_s:g} s")
     if not np.any(np.diff(check.recording.voltage_v) < 0.0) or not np.any(
             np.diff(check.recording.voltage_v) > 0.0):
@@ -185,6 +190,20 @@ def _has_loops(check: RecordingCheck) -> bool:
     kind = check.waveform.kind
     return kind.has_cycles or (
         kind is Kind.CHIRP and check.visited_fraction >= NEEDS.well_visited)
+
+
+def _has_slow_loops(check: RecordingCheck) -> bool:
+    """Return whether slow cycles of several sizes take most of the time, beside faster ones."""
+    voltage_v = check.voltage_v
+    turns = waveforms.turning_points(
+        voltage_v, waveforms.SETTINGS.level_tolerance * check.swing_v)
+    branches_s = np.diff(turns) * check.sample_period_s
+    is_slow = branches_s > waveforms.SETTINGS.slow_branch_s
+    if branches_s[is_slow].sum() < NEEDS.slow_share * branches_s.sum():
+        return False
+    above, below = voltage_v[turns] - voltage_v.min(), voltage_v.max() - voltage_v[turns]
+    is_inside = np.minimum(above, below) > NEEDS.inside * check.swing_v
+    return bool(np.any(is_inside[1:-1] & is_slow[:-1] & is_slow[1:]))
 
 
 def _creep(check: RecordingCheck) -> Suitability:

@@ -14,7 +14,11 @@ from piezo_identification.adequacy.lack_of_fit import LackOfFit, lack_of_fit
 from piezo_identification.conditioning.row_alignment import read_as
 from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
-from piezo_identification.identification.given_data import Data, conditioned_data
+from piezo_identification.identification.given_data import (
+    Data,
+    conditioned_data,
+    with_straight_voltages,
+)
 from piezo_identification.identification.recorded_hum import hum_of_each, without_hum
 from piezo_identification.identification.row_delays import delays_of_rows_s
 from piezo_identification.report.waveform_view import WaveformView, view_of
@@ -71,7 +75,9 @@ def component_evidence(identified: IdentifiedModel, given: Mapping[str, Data],
 
     `read_at_samples` is that of the call of `identify`.
     """
-    conditioned = conditioned_data(given, lambda text: None, read_at_samples)
+    conditioned = with_straight_voltages(
+        conditioned_data(given, lambda text: None, read_at_samples),
+        [name for name, row in identified.rows.items() if row.get("is_straight")])
     read_at = {name: identified.rows[name]["read_at_samples"] - read_as(data, read_at_samples)
                for name, data in conditioned.items()
                if name in identified.rows and not isinstance(data, FrequencyResponse)}

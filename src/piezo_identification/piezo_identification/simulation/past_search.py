@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.conditioning.sensor_sign import reversed_displacement
 from piezo_identification.conditioning.settling import first_settled
@@ -28,9 +29,15 @@ range."""
 class PastSearchSettings:
     """Settings of the search for the voltages before a recording."""
 
-    searched_samples: int = 200_000
-    """Samples at the start of the recording that are simulated for each candidate. The past affects
-    the first turning points; more samples cost time and add no information."""
+    compared_samples: int = 200_000
+    """Samples at the start of the recording on which the errors with and without a past are
+    compared."""
+    fewest_samples: int = 10_000
+    """Fewest samples at the start of the recording that are simulated for each candidate."""
+    until_forgotten: float = 2.0
+    """Length of the start that is simulated for each candidate, relative to that after which the
+    voltage has reached both its extremes. Later loops are congruent after all pasts (Mayergoyz
+    1986), so that they only show the offset."""
     grid_points: int = 6
     """Number of highest and of lowest voltages tried in each round."""
     rounds: int = 3
@@ -65,14 +72,26 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     negative saturation. The result is the extreme voltages in their order, and empty if they are
     not used.
     """
-    early = np.cumsum(recording.playing | recording.tracking) <= SETTINGS.searched_samples
-    part = after_saturation(model, recording.select(early))
+    part = after_saturation(model, _start_of(recording, SETTINGS.compared_samples))
     if not model.has_hysteresis or _starts_saturated(part):
         return ()
+    start = after_saturation(model, _start_of(recording, _samples_with_past(part.voltage_v)))
     closest = min((part.after(past_v) for past_v in (
-        _closest_past_v(part), _closest_demagnetised_v(part))), key=SimulatedRecording.error_um)
+        _closest_past_v(start), _closest_demagnetised_v(start))), key=SimulatedRecording.error_um)
     explains_more = closest.error_um() < SETTINGS.largest_error_ratio * part.error_um()
     return closest.past_v if explains_more else ()
+
+
+def _start_of(recording: Recording, samples: int) -> Recording:
+    return recording.select(np.cumsum(recording.playing | recording.tracking) <= samples)
+
+
+def _samples_with_past(voltage_v: FloatArray) -> int:
+    """Return the number of samples that show the voltages before them best."""
+    near_v = NEAR_THE_END * np.ptp(voltage_v)
+    both = max(int(np.argmax(voltage_v >= voltage_v.max() - near_v)),
+               int(np.argmax(voltage_v <= voltage_v.min() + near_v)))
+    return max(SETTINGS.fewest_samples, round(SETTINGS.until_forgotten * both))
 
 
 def after_saturation(model: StageModel, recording: Recording) -> SimulatedRecording:

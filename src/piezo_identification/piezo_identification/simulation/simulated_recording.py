@@ -170,9 +170,12 @@ class SimulatedRecording:
         return other
 
     def read_at(self, read_late_s: float) -> Self:
-        """Return the same recording with displacements read at another time after the voltages."""
+        """Return the same recording with displacements read at another time after the voltages.
+
+        Means are not changed.
+        """
         other = copy(self)
-        other.read_late_s = read_late_s
+        other.read_late_s = read_late_s if self.samples_per_mean == 1 else 0.0
         other._forget_linear()
         return other
 

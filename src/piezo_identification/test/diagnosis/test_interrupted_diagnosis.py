@@ -70,7 +70,7 @@ def test_when_the_time_is_over_the_verdict_and_its_page_say_what_was_not_tried(l
     document = found.document()
     assert document["interrupted"] and document["verdict"] == "unexplained"
     assert document["not_tried"].startswith(
-        "the time of 1 s is over; not tried: further effects of the new recordings")
+        "the time of 1 s does not suffice; not tried: further effects of the new recordings")
     assert document["not_tried"] in render_report(found)
     sentence = verdict_sentence(found)
     assert "no effect compared until then explains" in sentence and "probability" not in sentence

@@ -95,7 +95,7 @@ def test_ctrl_c_before_there_is_a_model_leaves_none(recordings):
 
 def test_a_budget_that_is_over_at_once_leaves_the_separate_steps(step_by_step):
     found, told = step_by_step
-    assert found.unfinished.startswith("the time of 1 s is over; not tried: ")
+    assert found.unfinished.startswith("the time of 1 s does not suffice; not tried: ")
     table = next(text for text in told if text.startswith("one fit of the whole model"))
     assert table.splitlines()[-1].startswith("step by step") and "<- written" in table
     axes, = table.plot().axes

@@ -363,7 +363,7 @@ def test_command_whose_time_is_over_draws_nothing_and_says_so(tmp_path, save_csv
     assert main(["--data", *map(str, files), "--output", str(folder), "--budget", "1e-9"]) == 0
     printed = capsys.readouterr().out
     assert re.search("^waveform ", printed, re.M)
-    assert printed.count("the time of 1e-09 s is over; not done: ") == 1
+    assert printed.count("the time of 1e-09 s does not suffice; not done: ") == 1
     assert f"{folder / 'first_check.png'}; {files[1]}; the page\n" in printed
     assert list(folder.iterdir()) == []
 
@@ -382,3 +382,15 @@ def test_command_tells_what_it_cannot_read_in_one_line(tmp_path, capsys):
     assert main(["--data", str(tmp_path / "data.csv")]) == 2
     error = capsys.readouterr().err
     assert error.startswith("check: ") and error.count("\n") == 1
+
+
+def test_slow_loops_of_several_sizes_beside_a_few_fast_ones_show_the_hysteresis(read):
+    period_s, loops_v = 1e-3, []
+    for frequency_hz, size_v, cycles in (
+            (1.0, 20.0, 2), (1.0, 10.0, 1), (1.0, 5.0, 1), (10.0, 20.0, 5), (25.0, 20.0, 10)):
+        turns = np.arange(0.0, cycles, frequency_hz * period_s)
+        loops_v.append(0.5 * size_v * (1.0 - np.cos(2.0 * np.pi * turns)))
+    voltage_v = np.concatenate(loops_v)
+    fit = suitability_for(check_recording(
+        read(voltage_v, 0.2 * voltage_v, period_s)), "hysteresis")
+    assert fit.verdict == "partly" and "--dynamics" in fit.reason

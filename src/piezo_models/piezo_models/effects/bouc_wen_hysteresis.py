@@ -12,31 +12,64 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 
+FARTHEST = 20.0
+"""Motion, relative to the relaxation voltage, after which what is taken has saturated."""
+
 STEEPEST = 0.95
 """Largest slope of what is taken from the voltage: the displacement then follows every voltage."""
 
 
+STEP = 1.0 / 16.0
+"""Longest step of the numerical solution, relative to the relaxation voltage."""
+
+
+@njit(cache=True, nogil=True)
+def _exactly(ahead: float, left: float, unloading: float) -> float:
+    """Return what is taken ahead of a motion after its rest, for an exponent of 1."""
+    if ahead < 0.0:
+        until_zero = -ahead
+        if unloading > 0.0:
+            until_zero = math.log1p(unloading * until_zero) / unloading
+        if left < until_zero:
+            grown = -math.expm1(-unloading * left) / unloading if unloading > 0.0 else left
+            return ahead * math.exp(-unloading * left) + grown
+        ahead, left = 0.0, left - until_zero
+    return 1.0 + (ahead - 1.0) * math.exp(-left)
+
+
+@njit(cache=True, nogil=True)
+def _slope(ahead: float, unloading: float, exponent: float) -> float:
+    size = min(abs(ahead), 1.0) ** exponent
+    return 1.0 + unloading * size if ahead < 0.0 else 1.0 - size
+
+
+@njit(cache=True, nogil=True)
+def _stepwise(ahead: float, left: float, unloading: float, exponent: float) -> float:
+    """Return what is taken ahead of a motion after its rest, by the Runge-Kutta rule."""
+    steps = math.ceil(left / STEP)
+    step = left / max(steps, 1)
+    for _ in range(steps):
+        first = _slope(ahead, unloading, exponent)
+        second = _slope(ahead + 0.5 * step * first, unloading, exponent)
+        third = _slope(ahead + 0.5 * step * second, unloading, exponent)
+        fourth = _slope(ahead + step * third, unloading, exponent)
+        ahead += step / 6.0 * (first + 2.0 * (second + third) + fourth)
+    return ahead
+
+
 @njit(cache=True, nogil=True)
 def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: float,
-           relaxation_v: float, unloading: float) -> FloatArray:
-    """Return what is taken from a voltage, (N,): the exact solution, however far samples are."""
+           relaxation_v: float, unloading: float, exponent: float) -> FloatArray:
+    """Return what is taken from a voltage, (N,), however far samples are apart."""
     taken = np.empty(voltage_v.size)
     for n in range(voltage_v.size):
         move_v = voltage_v[n] - last_v
         last_v = voltage_v[n]
-        left, ahead_v = abs(move_v) / relaxation_v, math.copysign(1.0, move_v) * taken_v
-        if ahead_v < 0.0:
-            until_zero = -ahead_v / saturation_v
-            if unloading > 0.0:
-                until_zero = math.log1p(unloading * until_zero) / unloading
-            if left < until_zero:
-                grown = -math.expm1(-unloading * left) / unloading if unloading > 0.0 else left
-                ahead_v = ahead_v * math.exp(-unloading * left) + saturation_v * grown
-                left = 0.0
-            else:
-                ahead_v, left = 0.0, left - until_zero
-        ahead_v = saturation_v + (ahead_v - saturation_v) * math.exp(-left)
-        taken_v = math.copysign(1.0, move_v) * ahead_v
+        direction = math.copysign(1.0, move_v)
+        left, ahead = abs(move_v) / relaxation_v, direction * taken_v / saturation_v
+        ahead = (_exactly(ahead, left, unloading) if exponent == 1.0
+                 else _stepwise(ahead, min(left, FARTHEST), unloading, exponent))
+        taken_v = direction * ahead * saturation_v
         taken[n] = taken_v
     return taken
 
@@ -45,11 +78,12 @@ def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: f
 class BoucWenHysteresis(Effect):
     """The voltage that acts is u - z, where z follows u as Bouc and Wen describe it.
 
-    In the direction of the motion, L dz/du = S - z while z grows, and S - r z, with the factor r
-    of unloading, while what is left of the opposite direction decreases. This is
-    ``z' = a u' - b |u'| z - c u' |z|`` (Wen 1976, exponent 1) with S = a / (b + c), L = 1 / (b + c)
-    and r = (b - c) / (b + c). With r = 1, it is the model of Dahl, and that of Jiles and Atherton
-    about a line. Minor loops drift, unlike those of a Preisach hysteresis.
+    In the direction of the motion, the part x = z / S grows by L dx/du = 1 - x^n, and by
+    1 + r |x|^n, with the factor r of unloading, while what is left of the opposite direction
+    decreases. This is ``z' = a u' - b |u'| |z|^(n-1) z - c u' |z|^n`` (Wen 1976) with
+    S^n = a / (b + c), L = S / a and r = (b - c) / (b + c). With r = n = 1, it is the model of Dahl,
+    and that of Jiles and Atherton about a line. Minor loops drift, unlike those of a Preisach
+    hysteresis.
     """
 
     name: ClassVar[str] = "bouc_wen_hysteresis"
@@ -61,6 +95,7 @@ class BoucWenHysteresis(Effect):
     saturation_v: float = parameter("V", "logarithm", LEAST, MOST)
     relaxation_v: float = parameter("V", "logarithm", LEAST, MOST)
     unloading: float = parameter("1", "linear", 0.0, 5.0, default=1.0)
+    exponent: float = parameter("1", "logarithm", 0.5, 5.0, default=1.0)
 
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
@@ -73,7 +108,7 @@ class BoucWenHysteresis(Effect):
         signal = np.ascontiguousarray(signal, dtype=float)
         last_v, taken_v = (float(signal[0]), 0.0) if past is None else past
         taken = _taken(signal, last_v, taken_v, self.saturation_v, self.relaxation_v,
-                       self.unloading)
+                       self.unloading, self.exponent)
         return signal - taken, (float(signal[-1]), float(taken[-1]))
 
     def memory_after(self, voltage_v: ArrayLike) -> Any:

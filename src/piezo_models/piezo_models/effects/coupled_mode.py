@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A mode whose part of the displacement is out of phase with that of the others."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import mul
 from typing import ClassVar, Self
 
 import control
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_models.effects.effect import Evidence, parameter
 from piezo_models.effects.filtering import filtered
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
+
+ROUNDING = 1e-12
+"""Size, relative to the largest one, below which a coefficient of a polynomial is rounding."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +86,39 @@ def modes_in_parallel(dynamics: ElectricVibrationDynamics) -> tuple[CoupledMode,
     position = at_poles[0] - velocity * poles[0] / frequencies
     return tuple(CoupledMode(*map(float, numbers)) for numbers in zip(
         frequencies, dampings, position.real, velocity.real, strict=True))
+
+
+def modes_in_series(modes: Sequence[VibrationMode],
+                    most_rad_per_s: float) -> tuple[ElectricVibrationDynamics, float] | None:
+    """Return parallel modes in series with their antiresonances, and the lead of their other zeros.
+
+    The inverse of `modes_in_parallel` up to zeros that are real or faster than `most_rad_per_s`,
+    which no antiresonance describes: for slow signals they are a lead, in s. Return None if a pair
+    of zeros is in the right half-plane.
+    """
+    # Rates relative to a common one keep the coefficients of the same magnitude.
+    unit = float(np.exp(np.mean(np.log([mode.frequency_rad_per_s for mode in modes]))))
+    scales = [unit / mode.frequency_rad_per_s for mode in modes]
+    poles = [Polynomial([1.0, 2.0 * mode.damping_ratio * scale, scale**2])
+             for mode, scale in zip(modes, scales, strict=True)]
+    parts = [mode._parts() for mode in modes]
+    direct = 1.0 - sum(position for position, _ in parts)
+    zeros = _product([Polynomial([direct]), *poles])
+    for number, ((position, velocity), scale) in enumerate(zip(parts, scales, strict=True)):
+        numerator = Polynomial([position, velocity * scale])
+        zeros += _product([numerator, *poles[:number], *poles[number + 1 :]])
+    zeros = zeros.trim(float(ROUNDING * np.abs(zeros.coef).max()))
+    roots = unit * np.asarray(zeros.roots(), dtype=complex)
+    pairs = roots[(roots.imag > 0.0) & (np.abs(roots) < most_rad_per_s)]
+    if np.any(pairs.real >= 0.0):
+        return None
+    others = roots[(roots.imag == 0.0) | (np.abs(roots) >= most_rad_per_s)]
+    return ElectricVibrationDynamics(
+        0.0, tuple(mode.frequency_rad_per_s for mode in modes),
+        tuple(mode.damping_ratio for mode in modes),
+        tuple(np.abs(pairs).tolist()),
+        tuple((-pairs.real / np.abs(pairs)).tolist())), float(-np.sum(1.0 / others).real)
+
+
+def _product(factors: Sequence[Polynomial]) -> Polynomial:
+    return reduce(mul, factors, Polynomial([1.0]))

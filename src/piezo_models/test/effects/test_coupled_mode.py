@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """A coupled mode adds a pair of poles with any residue."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel
+from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel, modes_in_series
 from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
 
@@ -66,6 +68,25 @@ def test_modes_in_parallel_are_those_in_series(dampings, zeros):
     assert sum(mode.participation for mode in modes) == pytest.approx(1.0)
     assert ElectricVibrationDynamics(LAG_S).response(frequency_hz, modes) == pytest.approx(
         series.response(frequency_hz), rel=1e-9)
+    again, lead_s = modes_in_series(modes, 1e5)
+    assert again.response(frequency_hz) == pytest.approx(
+        replace(series, time_constant_s=0.0).response(frequency_hz), rel=1e-9)
+    assert lead_s == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_real_zero_of_parallel_modes_is_a_lead():
+    mode = CoupledMode(7500.0, 0.02, 1.0, 7500.0 * LAG_S)
+    series, lead_s = modes_in_series([mode], 1e5)
+    assert series == ElectricVibrationDynamics(0.0, (7500.0,), (0.02,))
+    assert lead_s == pytest.approx(LAG_S)
+
+
+def test_zeros_in_the_right_half_plane_have_no_antiresonance():
+    modes = modes_in_parallel(ElectricVibrationDynamics(0.0, (3000.0, 9000.0), (0.02, 0.02)))
+    wrong = [replace(mode, velocity_participation=mode.velocity_participation - 0.3)
+             for mode in (CoupledMode(3000.0, 0.02, 0.6), CoupledMode(9000.0, 0.02, 0.4))]
+    assert modes_in_series(modes, 1e5) is not None
+    assert modes_in_series(wrong, 1e5) is None
 
 
 def test_modes_that_are_nearly_equal_have_no_parts_in_parallel():

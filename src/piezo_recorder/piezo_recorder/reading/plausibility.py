@@ -70,7 +70,8 @@ def implausible(recording: Recording) -> list[str]:
     if range_um == 0.0:
         texts.append(f"the displacement is {displacement_um[0]:g} um throughout: is the sensor on?")
     if swing_v > 0.0 and range_um > 0.0:
-        texts += _beyond_usual(float(np.abs(voltage_v).max()), swing_v, range_um)
+        texts += _beyond_usual(float(np.abs(voltage_v).max()), swing_v, range_um,
+                               _followed_um_per_v(voltage_v, displacement_um))
     if swing_v > 0.0 and range_um > 0.0 and runs_ahead(voltage_v, displacement_um):
         texts.append("the displacement runs ahead of the voltage, as if it drove the stage: are "
                      "the two columns exchanged?")
@@ -99,7 +100,17 @@ def runs_ahead(voltage_v: FloatArray, displacement_um: FloatArray) -> bool:
     return area < -USUAL.ahead * cycles
 
 
-def _beyond_usual(largest_v: float, swing_v: float, range_um: float) -> list[str]:
+def _followed_um_per_v(voltage_v: FloatArray, displacement_um: FloatArray) -> float:
+    """Return the slope of the line through the displacement over the voltage, without its sign.
+
+    At a resonance, the displacement follows the voltage out of phase.
+    """
+    off_v = voltage_v - voltage_v.mean()
+    return float(abs(off_v @ displacement_um) / (off_v @ off_v))
+
+
+def _beyond_usual(largest_v: float, swing_v: float, range_um: float,
+                  followed_um_per_v: float) -> list[str]:
     texts = []
     if largest_v > USUAL.largest_voltage_v:
         texts.append(f"the voltage reaches {largest_v:.4g} V, and no amplifier for piezos goes "
@@ -114,7 +125,8 @@ def _beyond_usual(largest_v: float, swing_v: float, range_um: float) -> list[str
         texts.append(f"the displacement changes by {range_um:.4g} um, more than any piezo stage: "
                      "is it in nm?")
     gain = range_um / swing_v
-    if not texts and not USUAL.least_gain_um_per_v <= gain <= USUAL.largest_gain_um_per_v:
+    if not texts and (gain < USUAL.least_gain_um_per_v
+                      or min(gain, followed_um_per_v) > USUAL.largest_gain_um_per_v):
         texts.append(f"{range_um:.4g} um at a swing of {swing_v:.4g} V are {gain:.3g} um/V, which "
                      f"no usual stage has ({USUAL.least_gain_um_per_v:g} to "
                      f"{USUAL.largest_gain_um_per_v:g}): is a unit wrong by 1000?")

@@ -54,6 +54,19 @@ def test_implausible_numbers_are_said(tmp_path, voltage_v, displacement_um, said
     assert re.search(said, notes(tmp_path, voltage_v, displacement_um))
 
 
+def test_a_resonance_is_no_wrong_unit(tmp_path):
+    """Tones through a mode move the stage thirty times as far as the same voltage at rest."""
+    w, damping = 60.0, 0.015
+    rates = np.repeat(np.linspace(20.0, 180.0, 9), 444)[: INDEX.size - 4]
+    rates = np.append(rates, np.full(INDEX.size - rates.size, 180.0))
+    phase = np.cumsum(rates * 1e-3)
+    gain = 6.0 / (1.0 - (rates / w) ** 2 + 2j * damping * rates / w)
+    moved_um = np.real(gain * np.exp(1j * phase))
+    assert np.ptp(moved_um) / 2.0 > 100.0
+    assert "unit" not in notes(tmp_path, np.cos(phase), moved_um)
+    assert "unit wrong by 1000" in notes(tmp_path, np.cos(phase), 60.0 * np.cos(phase))
+
+
 def test_columns_that_are_exchanged_are_asked_about(tmp_path, noise_um):
     late = 0.5 - 0.5 * np.cos(INDEX / 300.0 - 0.12)  # as hysteresis, creep and lags make it
     assert notes(tmp_path, 100.0 * SINE, 13.0 * late + noise_um) == ""

@@ -33,7 +33,7 @@ class ResponseProblem:
 
     def __init__(self, model: StageModel, measured: FrequencyResponse) -> None:
         self.model, self.measured = model, measured
-        response = ResponseSearch(measured, model.has_hysteresis).measured_response()
+        response = ResponseSearch(measured, has_loss=True).measured_response()
         # A form of the response that no model follows would be taken for noise.
         self._response = replace(
             response, noise=min(response.noise, _noise_of_neighbours(response.weighted)))

@@ -51,6 +51,10 @@ STRONG_EVIDENCE = 6.0
 """Gain in information required for coupled modes over those of a structure, because they can
 imitate these in many ways (Kass and Raftery, "Bayes factors", 1995)."""
 
+BARE_MENTION = 2.0
+"""Gain in information that is not worth more than a bare mention (Kass and Raftery): of models
+within it, that with the fewest parameters is chosen."""
+
 STEP = 1e-6
 """Step in the parameters of a fit for numerical derivatives of those of the model."""
 
@@ -134,8 +138,11 @@ def estimate_from_response(
             take(fit)
     if not granted:
         raise ValueError(f"{measured.path} cannot be described by order {order}: ask for another")
-    chosen = min(granted, key=lambda found: (
-        search.information(granted[found]) + STRONG_EVIDENCE * found.is_coupled))
+    information = {found: search.information(fit) + STRONG_EVIDENCE * found.is_coupled
+                   for found, fit in granted.items()}
+    nearly = min(information.values()) + BARE_MENTION
+    chosen = min((found for found in granted if information[found] <= nearly),
+                 key=lambda found: (granted[found].parameters, information[found]))
     best = granted[chosen]
     trials = tuple(_trial(search, found, fit) for found, fit in granted.items())
     if measured.hold_s:

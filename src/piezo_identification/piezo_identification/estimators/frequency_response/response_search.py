@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
@@ -25,13 +26,16 @@ from piezo_identification.estimators.poles.vector_fitting import (
     vector_fit,
 )
 from piezo_identification.fitting.evidence import INDEPENDENT, log_evidence
-from piezo_identification.fitting.measured_response import MeasuredResponse
+from piezo_identification.fitting.measured_response import MOST_LOSS_RAD, MeasuredResponse
 
 SPARE_POLES = 40
 """Number of poles of the fit that determines noise and delay: more than a stage has."""
 
 DELAYS_A_TURN, MOST_DELAYS = 4, 48
 """Number of delays tried per turn of phase at the highest strong frequency, and in total."""
+
+LOSS_STEP_RAD = 1e-3
+"""Accuracy of the angle by which hysteresis delays small sines in this fit."""
 
 STRONG = 0.02
 """Gain, relative to the largest, above which a frequency is strong."""
@@ -109,7 +113,7 @@ class ResponseSearch:
         step = -(-self.rate.size // LINES)
         self._coarse = slice((self.rate.size - 1) % step, None, step)
         self.weight = np.ones(self.rate.size)
-        self._delay_s, poles = self._delay_and_poles()
+        self._delay_s, self._loss_rad, poles = self._delay_loss_and_poles()
         residual = self._residual(poles)
         self.weight = weight_of_noise(residual, self.gain - residual)
         residual = self.weight * self._residual(poles)
@@ -119,11 +123,11 @@ class ResponseSearch:
         self._rounding = finest_power(np.abs(self.gain))
 
     def _residual(self, poles: ComplexArray) -> ComplexArray:
-        turned = self.gain * np.exp(1j * self.rate * self._delay_s)
+        turned = self.gain * np.exp(1j * (self.rate * self._delay_s + self._loss_rad))
         return residual_of_poles(Lines(self.rate, turned, weight=self.weight), poles)
 
-    def _delay_and_poles(self) -> tuple[float, ComplexArray]:
-        """Delay with which a fit of many poles is best, and these poles."""
+    def _delay_loss_and_poles(self) -> tuple[float, float, ComplexArray]:
+        """Delay and loss with which a fit of many poles is best, and these poles."""
         rate, gain = self.rate[self._coarse], self.gain[self._coarse]
         strong = rate[np.abs(gain) > STRONG * np.abs(gain).max()]
         turn_s = 2.0 * np.pi / strong[-1]
@@ -132,13 +136,21 @@ class ResponseSearch:
         slope_s = max(0.0, -float(np.median(turning[-turning.size // 3 :])))
         longest_s = turn_s + 2.0 * slope_s
         count = min(round(DELAYS_A_TURN * longest_s / turn_s), MOST_DELAYS)
-        tried = []
-        for delay_s in np.linspace(0.0, longest_s, count + 1):
+
+        def fitted(delay_s: float, loss_rad: float = 0.0) -> tuple[float, ComplexArray]:
             check_cancelled()
-            turned = Lines(rate, gain * np.exp(1j * rate * delay_s))
+            turned = Lines(rate, gain * np.exp(1j * (rate * delay_s + loss_rad)))
             poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5))
-            tried.append((np.linalg.norm(residual_of_poles(turned, poles)), delay_s, poles))
-        return min(tried, key=lambda entry: entry[0])[1:]
+            return float(np.linalg.norm(residual_of_poles(turned, poles))), poles
+
+        delay_s = min(np.linspace(0.0, longest_s, count + 1), key=lambda each: fitted(each)[0])
+        # Poles do not describe the same angle at all frequencies.
+        loss_rad = minimize_scalar(
+            lambda each: fitted(delay_s, each)[0], bounds=(0.0, MOST_LOSS_RAD),
+            options={"xatol": LOSS_STEP_RAD}).x if self._has_loss else 0.0
+        if fitted(delay_s)[0] <= fitted(delay_s, loss_rad)[0]:
+            loss_rad = 0.0
+        return delay_s, loss_rad, fitted(delay_s, loss_rad)[1]
 
     def measured_response(self) -> MeasuredResponse:
         """Return the response with its noise for a fit together with recordings."""

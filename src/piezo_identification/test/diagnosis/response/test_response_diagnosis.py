@@ -59,7 +59,8 @@ def test_a_diagnosis_whose_time_is_over_says_what_it_has_not_tried():
         lambda step, fraction: steps.append(step), Budget(1.0, count().__next__))
     assert steps == ["the model's dynamics", "effect 1"]
     assert (diagnosis.verdict, diagnosis.effects) == ("unexplained", [])
-    assert diagnosis.not_tried == "the time of 1 s is over; not tried: further linear effects"
+    assert diagnosis.not_tried == (
+        "the time of 1 s does not suffice; not tried: further linear effects")
     assert diagnosis.document()["interrupted"]
 
 
