@@ -19,12 +19,14 @@ CREEP = np.array([[0.008, 0.012], [0.010, 0.015]])
 
 def passed_v(voltage_v, axis):
     """Return what the plays of an axis pass on that was cycled before its lowest voltage."""
-    moved = voltage_v[0] + PLAYS_V[axis]
     changed = np.flatnonzero(np.diff(voltage_v, prepend=np.nan))
-    passed = np.empty(changed.size)
-    for row, now in enumerate(voltage_v[changed]):
-        np.clip(moved, now - PLAYS_V[axis], now + PLAYS_V[axis], out=moved)
-        passed[row] = WEIGHTS[axis] @ (moved * (1.0 + BENT_PER_V * moved))
+    passed = np.zeros(changed.size)
+    for play_v, weight in zip(PLAYS_V[axis].tolist(), WEIGHTS[axis].tolist(), strict=True):
+        moved, way = float(voltage_v[0]) + play_v, []
+        for now in voltage_v[changed].tolist():
+            moved = min(max(moved, now - play_v), now + play_v)
+            way.append(moved)
+        passed += weight * np.multiply(way, 1.0 + BENT_PER_V * np.array(way))
     held = np.repeat(passed, np.diff(changed, append=voltage_v.size))
     return (1.0 - WEIGHTS[axis].sum()) * voltage_v + held
 

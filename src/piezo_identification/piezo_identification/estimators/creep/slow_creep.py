@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, qr, svd
+from scipy.linalg import block_diag, qr
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
@@ -85,9 +85,6 @@ GAINS = (1e-4, 1.0)
 
 INDEPENDENT = 1e-7
 """Share of a column independent of the others below which it counts as dependent."""
-
-HELD = 1e-8
-"""Share of a direction due to hysteresis and offsets below which it counts as free of them."""
 
 CANDIDATES = 12
 """Number of rates tried for each further exponential."""
@@ -234,7 +231,7 @@ class _Problem:
         self._parts = [
             _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
             for part in parts]
-        self._span, self._remaining = self._explained_by_hysteresis()
+        self._span = self._explained_by_hysteresis()
         longest_s = max(part.time_s[-1] for part in parts)
         shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
                          settling_s / 3.0)
@@ -245,10 +242,12 @@ class _Problem:
         self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
         self.gains = np.log(GAINS)
 
-    def _explained_by_hysteresis(self) -> tuple[FloatArray, FloatArray]:
-        """Return orthonormal directions of hysteresis and offsets, and the share not explained.
+    def _explained_by_hysteresis(self) -> FloatArray:
+        """Return columns S such that x - S S' x is what hysteresis and offsets leave of bins x.
 
-        Smooth directions are explained fully, rough ones only in part, because of the penalties.
+        Smooth directions are explained fully, rough ones only in part, because of the penalties:
+        what is left is as long as the residual of regression and penalties, without the rows of
+        the penalties.
         """
         offsets = block_diag(*(part.offsets for part in self._parts))
         width = offsets.shape[1]
@@ -269,11 +268,13 @@ class _Problem:
         self.width = kept.shape[1]
         # Number of rows minus the degrees of freedom of the hysteresis, which the penalties reduce.
         self.rows = count - round(float(np.sum(kept[:count] ** 2)))
-        # Hundreds of the values are zero: under some kernels divide and conquer does not converge.
-        directions, made, mixed = svd(kept[:count], full_matrices=False, lapack_driver="gesvd")
-        # Sines and cosines of the same angles: the penalties give a small residual accurately.
-        shares = np.linalg.norm(kept[count:] @ mixed.T, axis=0)
-        return directions[:, made > HELD], shares[made > HELD]
+        bins, penalties = kept[:count], kept[count:]
+        # Where the penalties leave the share s, 1 - s is explained. In the bins, a direction is as
+        # long as the root of 1 - s^2, by which it need not be divided: that may be near zero.
+        _, mixed = np.linalg.eigh(penalties.T @ penalties)
+        shares = np.linalg.norm(penalties @ mixed, axis=0)
+        explained: FloatArray = bins @ (mixed / np.sqrt(1.0 + shares))
+        return explained
 
     def residual(self, point: FloatArray) -> FloatArray:
         """Return the residual of hysteresis, offsets and initial creep, with the creep removed."""
@@ -282,8 +283,7 @@ class _Problem:
         target = np.concatenate([part.without_creep(rates, gains) for part in self._parts])
         zeros = np.asarray(creep_of_partial_fractions(rates, gains)[0].zeros_rad_per_s)
         both = np.column_stack([target, block_diag(*(part.decays(zeros) for part in self._parts))])
-        # As long as the residual of regression and penalties, without the rows of the penalties.
-        both = both - self._span @ ((1.0 - self._remaining)[:, None] * (self._span.T @ both))
+        both = both - self._span @ (self._span.T @ both)
         residual: FloatArray = both[:, 0]
         if both.shape[1] > 1:
             residual = residual - both[:, 1:] @ np.linalg.lstsq(
@@ -292,8 +292,7 @@ class _Problem:
 
     def share(self, residual: FloatArray) -> float:
         """Return the share of independent rows in a residual."""
-        return independent_share(
-            residual - self._span @ ((1.0 - self._remaining) * (self._span.T @ residual)))
+        return independent_share(residual - self._span @ (self._span.T @ residual))
 
     def _noise_raised(self, rates: FloatArray, gains: FloatArray) -> float:
         """Return the factor that compensates for noise reduced by the inverse of the creep.
