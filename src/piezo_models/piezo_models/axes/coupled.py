@@ -437,8 +437,11 @@ def _delayed(signal: FloatArray, samples: int, periodic: bool) -> FloatArray:
     """Return a signal delayed by samples; before it is its period or its first value."""
     if not samples:
         return signal
-    at = np.arange(len(signal)) - samples
-    delayed: FloatArray = signal[at % len(signal) if periodic else np.maximum(at, 0)]
+    if periodic:
+        return np.roll(signal, samples, axis=0)
+    delayed = np.empty_like(signal)
+    delayed[:samples] = signal[0]
+    delayed[samples:] = signal[: max(len(signal) - samples, 0)]
     return delayed
 
 

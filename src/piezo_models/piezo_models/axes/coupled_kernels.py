@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The modes of several axes, sample by sample."""
 
+import numpy as np
 from numba import njit
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -32,6 +33,7 @@ def run_modes(
         Displacement in um; overwritten.
     """
     samples, axes = drive_v.shape
+    force_v = np.empty(axes)
     for sample in range(samples):
         for i in range(axes):
             motion = 0.0
@@ -39,7 +41,7 @@ def run_modes(
                 for j in range(axes):
                     motion += (residues[mode, i, j] * state[mode, j]).real
             motion_um[sample, i] = motion
-        force_v = drive_v[sample].copy()
+        force_v[:] = drive_v[sample]
         for part in range(strengths.shape[1]):
             for i in range(axes):
                 back = 0.0
