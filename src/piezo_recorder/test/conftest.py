@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sample blocks as a stage sends them, made without ROS."""
 
+import json
+import resource
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from piezo_recorder.reading.tables import matlab_contents, matlab_files
 from piezo_recorder.sample_block import TYPE_NAME, Flag
 from piezo_recorder.writing.message_definition import MessageDefinition
 from piezo_recorder.writing.writer import RecordingWriter
@@ -48,6 +53,18 @@ class SampleBlocks:
                 for number, data in enumerate(blocks):
                     writer.write(channel, data, 1_000_000 * number)
         return path
+
+
+@pytest.fixture
+def matlab_in_place(monkeypatch):
+    """Read MATLAB files in this process: its own takes most of the time of a sound small file."""
+    def read(path, target):
+        with redirect_stdout(StringIO()) as printed:
+            matlab_contents.main(str(path), str(target), str(resource.RLIM_INFINITY))
+        return json.loads(printed.getvalue())
+
+    monkeypatch.setattr(matlab_contents.resource, "setrlimit", lambda *_: None)
+    monkeypatch.setattr(matlab_files, "_read_apart", read)
 
 
 @pytest.fixture(scope="session")

@@ -221,6 +221,7 @@ def test_sound_card_is_read_in_counts_at_its_rate(tmp_path):
     np.testing.assert_allclose(recording.displacement_um, DISPLACEMENT_UM, atol=3e-3)
 
 
+@pytest.mark.usefixtures("matlab_in_place")
 def test_matlab_array_of_structures_with_a_sample_each_is_read_as_columns(tmp_path):
     log = np.zeros(ROWS, dtype=[("t", float), ("V", float), ("x_um", float)])
     log["t"], log["V"], log["x_um"] = TIME_S, VOLTAGE_V, DISPLACEMENT_UM

@@ -67,11 +67,11 @@ def test_resting_mechanism_stands_still():
 def test_calls_of_any_size_give_the_same_samples_to_the_bit(plant):
     voltage_v = wandering_v(3000)
     whole_um = opened(plant, seed=3).exchange(voltage_v)
-    for size in (1, 40, 1001):
+    for size, count in ((1, 500), (40, 3000), (1001, 3000)):
         stage = opened(plant, seed=3)
         parts_um = [stage.exchange(voltage_v[first:first + size])
-                    for first in range(0, 3000, size)]
-        assert np.array_equal(np.concatenate(parts_um), whole_um)
+                    for first in range(0, count, size)]
+        assert np.array_equal(np.concatenate(parts_um), whole_um[:count])
 
 
 @on_every_plant
