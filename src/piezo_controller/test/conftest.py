@@ -49,8 +49,9 @@ def stage_model():
 
 @pytest.fixture(scope="session")
 def controller(stage_model):
-    """Return the default design for the stage."""
-    return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
+    """Return the default design for the stage, of few scalings: for tests that take it as given."""
+    with replaced(*FEW_SCALINGS):
+        return design_feedback(stage_model, load_weights(), model_sha256="0" * 64)
 
 
 @pytest.fixture(scope="module")

@@ -52,6 +52,12 @@ def solution(problem):
 
 
 @pytest.fixture(scope="module")
+def controller(stage_model):
+    """Return the default design, with all scalings that users get."""
+    return design_feedback(stage_model, load_weights())
+
+
+@pytest.fixture(scope="module")
 def thesis_controller(stage_model):
     return design_feedback(stage_model, load_weights("thesis"))
 
