@@ -21,6 +21,8 @@ PARTED = {"SchemaError", "violation"}
 # Results with a problem and its cure, which another function raises.
 RETURNED = {"Violation"}
 TRIPS = {"stop"}
+# Nodes without others that tell anything.
+LEAVES = (ast.Name, ast.Constant, ast.expr_context, ast.operator, ast.cmpop, ast.alias)
 # Of a Python caller who broke a rule of the language; no user reads them.
 OF_PYTHON = {"StopIteration", "AttributeError", "SystemExit"}
 
@@ -116,7 +118,7 @@ def refusal(node):
         if len(texts) < 2:
             return None
         return "; ".join([" ".join(texts[:2]), *texts[2:]])
-    if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).endswith(".message"):
+    if isinstance(node, ast.Assign) and getattr(node.targets[0], "attr", "") == "message":
         return template(node.value)
     return None
 
@@ -138,13 +140,18 @@ def trips_of(path):
 
 
 def statements(tree):
-    """All nodes of a tree below its root."""
-    return [node for node in ast.walk(tree) if node is not tree and hasattr(node, "lineno")]
+    """All nodes of a tree below its root, except names and constants, which are most of them."""
+    found = [tree]
+    for node in found:
+        found += [child for child in ast.iter_child_nodes(node) if not isinstance(child, LEAVES)]
+    return [node for node in found[1:] if hasattr(node, "lineno")]
 
 
 def called(node):
     """Last part of the name of the function that is called."""
-    return ast.unparse(node.func).split(".")[-1]
+    if isinstance(node.func, ast.Attribute):
+        return node.func.attr
+    return node.func.id if isinstance(node.func, ast.Name) else ""
 
 
 def template(node):
