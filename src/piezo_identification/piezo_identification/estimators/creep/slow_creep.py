@@ -9,6 +9,7 @@ jump need to be omitted.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,7 +152,7 @@ def estimate_slow_creep(
         return problem.gain_of(
             residual, residual_then, larger.width - problem.width, larger.share(residual_then))
 
-    tried = [_Problem(parts, settling_s, each) for each in NUISANCES]
+    tried = [problem.with_nuisances(each) for each in NUISANCES]
     gains = [gain(each) for each in tried]
     if max(gains) > DECISIVE:
         problem = tried[int(np.argmax(gains))]
@@ -224,14 +225,11 @@ def _or_power_law(problem: "_Problem", found: _Found) -> _Found:
 class _Problem:
     """Rows of all recordings; a point contains logarithms of rates, then of gains."""
 
-    def __init__(self, parts: Sequence[Recording], settling_s: float,
-                 nuisances: Sequence[str] = ()) -> None:
+    def __init__(self, parts: Sequence[Recording], settling_s: float) -> None:
         lowest_v, highest_v = voltage_range_v(parts)
         levels_v = np.linspace(lowest_v, highest_v, CELLS + 1)
-        self._parts = [
-            _Part(part, levels_v, settling_s, MOST_BINS // len(parts), nuisances)
-            for part in parts]
-        self._span = self._explained_by_hysteresis()
+        self._parts = [_Part(part, levels_v, settling_s, MOST_BINS // len(parts)) for part in parts]
+        self._explain_by(self._hysteresis_and_offsets())
         longest_s = max(part.time_s[-1] for part in parts)
         shortest_s = max(ROWS_OF_DECAY * min(part.sample_period_s for part in parts),
                          settling_s / 3.0)
@@ -242,12 +240,26 @@ class _Problem:
         self.rates = np.log([0.3 / longest_s, 1.0 / shortest_s])
         self.gains = np.log(GAINS)
 
-    def _explained_by_hysteresis(self) -> FloatArray:
-        """Return columns S such that x - S S' x is what hysteresis and offsets leave of bins x.
+    def with_nuisances(self, names: Sequence[str]) -> "_Problem":
+        """Return the problem with further signals of each recording."""
+        added = block_diag(*(part.nuisances(names) for part in self._parts))
+        scale = np.linalg.norm(added, axis=0)
+        scale[scale == 0.0] = 1.0
+        kept = self._kept
+        normal = np.zeros((kept.shape[0], added.shape[1]))
+        normal[: added.shape[0]] = added / scale
+        for _ in range(2):  # once would leave rounding errors of what is nearly dependent
+            normal -= kept @ (kept.T @ normal)
+        orthogonal, triangle, _ = qr(normal, mode="economic", pivoting=True)
+        independent = np.abs(np.diag(triangle)) > INDEPENDENT
+        larger = copy(self)
+        larger._explain_by(np.hstack([kept, orthogonal[:, independent]]))
+        return larger
 
-        Smooth directions are explained fully, rough ones only in part, because of the penalties:
-        what is left is as long as the residual of regression and penalties, without the rows of
-        the penalties.
+    def _hysteresis_and_offsets(self) -> FloatArray:
+        """Return orthonormal directions of hysteresis and offsets, in the bins and the penalties.
+
+        Smooth directions have no penalty, so that they are explained fully, and rough ones in part.
         """
         offsets = block_diag(*(part.offsets for part in self._parts))
         width = offsets.shape[1]
@@ -264,17 +276,24 @@ class _Problem:
         orthogonal, triangle, _ = qr(normal, mode="economic", pivoting=True)
         sizes = np.abs(np.diag(triangle))
         kept: FloatArray = orthogonal[:, sizes > INDEPENDENT * sizes[0]]
-        count = columns.shape[0]
-        self.width = kept.shape[1]
-        # Number of rows minus the degrees of freedom of the hysteresis, which the penalties reduce.
-        self.rows = count - round(float(np.sum(kept[:count] ** 2)))
+        return kept
+
+    def _explain_by(self, kept: FloatArray) -> None:
+        """Set what orthonormal directions in the bins and the penalties explain.
+
+        Of bins x they leave x - S S' x, with S the span: as much as the residual of regression and
+        penalties, without the rows of the penalties.
+        """
+        count = sum(part.everett.shape[0] for part in self._parts)
         bins, penalties = kept[:count], kept[count:]
+        self._kept, self.width = kept, kept.shape[1]
+        # Number of rows minus the degrees of freedom of the hysteresis, which the penalties reduce.
+        self.rows = count - round(float(np.sum(bins**2)))
         # Where the penalties leave the share s, 1 - s is explained. In the bins, a direction is as
         # long as the root of 1 - s^2, by which it need not be divided: that may be near zero.
         _, mixed = np.linalg.eigh(penalties.T @ penalties)
         shares = np.linalg.norm(penalties @ mixed, axis=0)
-        explained: FloatArray = bins @ (mixed / np.sqrt(1.0 + shares))
-        return explained
+        self._span = bins @ (mixed / np.sqrt(1.0 + shares))
 
     def residual(self, point: FloatArray) -> FloatArray:
         """Return the residual of hysteresis, offsets and initial creep, with the creep removed."""
@@ -393,8 +412,8 @@ class _Problem:
 class _Part:
     """A stretch without gaps, with similar samples combined into bins."""
 
-    def __init__(self, part: Recording, levels_v: FloatArray, settling_s: float, most_bins: int,
-                 nuisances: Sequence[str]) -> None:
+    def __init__(self, part: Recording, levels_v: FloatArray, settling_s: float,
+                 most_bins: int) -> None:
         self._period_s = part.sample_period_s
         self._mean_samples = samples_per_mean(part)
         # An instantaneous displacement is measured before the voltage of its row acts.
@@ -421,12 +440,22 @@ class _Part:
             shape=(self._counts.size, self._time_s.size))
         self.everett = np.asarray((self._gather @ regression.matrix).toarray())
         histories = np.unique(regression.history[used])
-        offsets = [(regression.history == each).astype(float) for each in histories]
-        if "drift" in nuisances and offsets:
-            offsets.append(self._time_s / self._time_s[-1])
-        if "first rise" in nuisances:
-            offsets += _passed(voltage_v, levels_v)
-        self.offsets = self.means(np.column_stack(offsets)) if offsets else np.empty((0, 0))
+        self.offsets = self._columns(
+            [(regression.history == each).astype(float) for each in histories])
+        self._voltage_v, self._levels_v = voltage_v, levels_v
+
+    def nuisances(self, names: Sequence[str]) -> FloatArray:
+        """Return the columns of further signals."""
+        signals = list[FloatArray]()
+        if "drift" in names and self.offsets.size:
+            signals.append(self._time_s / self._time_s[-1])
+        if "first rise" in names:
+            signals += _passed(self._voltage_v, self._levels_v)
+        return self._columns(signals)
+
+    def _columns(self, signals: Sequence[FloatArray]) -> FloatArray:
+        return (self.means(np.column_stack(signals)) if signals
+                else np.empty((self._counts.size, 0)))
 
     def means(self, signals: FloatArray) -> FloatArray:
         """Means over the bins, weighted to equal variance."""

@@ -33,6 +33,6 @@ def test_what_the_creep_adds_is_taken_out(pairs):
         "closed form", 1.0 / PERIOD_S, np.arange(VOLTAGE_V.size),
         np.full(VOLTAGE_V.size, PERIOD_S), VOLTAGE_V, displacement_um,
         np.full(VOLTAGE_V.size, Flag.PLAYING, dtype=np.uint32)),
-        np.linspace(20.0, 80.0, 33), 0.0, 2000, ())
+        np.linspace(20.0, 80.0, 33), 0.0, 2000)
     np.testing.assert_allclose(
         part.without_creep(rates, gains), part.means(VOLTAGE_V[:-1]), rtol=1e-9)
