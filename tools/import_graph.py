@@ -7,6 +7,7 @@ A room is a folder of a package that holds modules.
 """
 
 import ast
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterable
@@ -16,6 +17,9 @@ from generated_page import ROOT, write_or_check
 
 LIST = ROOT / "docs" / "pictures" / "rooms.txt"
 NOT_LISTED = "piezo_interfaces"  # messages, which CMake makes into modules
+
+IMPORT = re.compile(r"^ *(?:from [\w.]+ import (?:\([^)]*\)|.+)|import .+)$", re.M)
+"""Of one statement: to parse all of the sources takes a second."""
 
 Edges = dict[tuple[str, str], int]
 
@@ -56,22 +60,14 @@ def imports_between_rooms(source: Path) -> Edges:
 
 def imported(path: Path) -> Iterable[str]:
     """Yield the dotted names of our own that a module imports."""
-    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
-        names = []
+    for found in IMPORT.findall(path.read_text(encoding="utf-8")):
+        node, names = ast.parse(found.strip()).body[0], []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         yield from (name for name in names
                     if name.startswith("piezo_") and not name.startswith(NOT_LISTED))
-
-
-def statements(node: ast.AST) -> Iterable[ast.AST]:
-    """Yield all statements below a node, without the expressions in them, which are far more."""
-    for child in ast.iter_child_nodes(node):
-        if isinstance(child, (ast.stmt, ast.excepthandler, ast.match_case)):
-            yield child
-            yield from statements(child)
 
 
 def listed(imports: Edges) -> str:
