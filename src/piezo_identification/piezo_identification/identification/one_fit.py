@@ -57,6 +57,10 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
+SLOWER = 1.5
+"""Sample period, relative to that of the fastest data, from which a voltage may be straight between
+the rows. Of the fastest data, modes and lags explain that as well; see `between_rows`."""
+
 Tried = Sequence[tuple[str, WholeFit]]
 """What was changed, and the fit, in the order in which they were tried."""
 
@@ -196,12 +200,15 @@ class _Search:
     def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
         """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
 
-        A state at the noise or without recorded loops is returned as it is, and so is any when the
-        time is over.
+        A state whose loops are explained or not recorded is returned as it is, and so is any when
+        the time is over.
         """
-        shows_loops = not self.given.model.hysteresis.is_line or any(
-            experiment_of(name) == "hysteresis" for name in self.read_late_s)
-        if not shows_loops or is_at_noise(state.problem, state.best):
+        loops = [experiment_of(name) == "hysteresis" for name in self.names]
+        over_noise = state.problem.over_noise(state.best)[: len(loops)]
+        shows_loops = any(loops) or not self.given.model.hysteresis.is_line
+        is_explained = is_at_noise(state.problem, state.best) or (
+            any(loops) and bool(np.all(over_noise[loops] < SETTINGS.drifting)))
+        if is_explained or not shows_loops:
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
@@ -368,8 +375,9 @@ def fitted_together(
         return FittedTogether(fitted, dict(read_at))
     search = _Search(
         problem, list(parts), fitted, read_late_s, new_loops,
-        [name for name in parts if may_be_straight(used[name])], partial(_has_order, order),
-        report)
+        [name for name, part in parts.items() if may_be_straight(part)
+         and part.sample_period_s > SLOWER * problem.sample_period_s],
+        partial(_has_order, order), report)
     state = search.with_held_out_rows(search.best(delay_s or None))
     best = state.best
     read_at_samples = {name: late_s / played(samples[name]).sample_period_s

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array, diags_array
 
 from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.hysteresis.everett_regression import (
+    EverettRegression,
     everett_regression,
     remembered_pairs,
 )
@@ -82,12 +83,23 @@ class Equations:
         self.border_linear, self.square = np.zeros(others), 0.0
         self.offset_columns = np.zeros(1, dtype=int)
 
-    def add(self, matrix: csr_array, others: FloatArray, output: FloatArray) -> None:
-        """Add rows of the regression."""
+    def add(self, rows: EverettRegression, others: FloatArray, output: FloatArray) -> None:
+        """Add rows of the regression.
+
+        The product of what all rows of a branch have in common is formed once.
+        """
+        fixed, moving = rows.branches, rows.moving
+        of_branch = csr_array((np.ones(output.size), (rows.branch, np.arange(output.size))),
+                              shape=(fixed.shape[0], output.size))
+        mixed = fixed.T @ (of_branch @ moving)
+        lengths = diags_array(of_branch.sum(axis=1))
         self.count += output.size
-        self.quadratic = self.quadratic + matrix.T @ matrix
-        self.linear += matrix.T @ output
-        self.border += matrix.T @ others
+        self.quadratic = (self.quadratic + fixed.T @ (lengths @ fixed) + mixed + mixed.T
+                          + moving.T @ moving)
+        targets = np.column_stack([output, others])
+        products = fixed.T @ (of_branch @ targets) + moving.T @ targets
+        self.linear += products[:, 0]
+        self.border += products[:, 1:]
         self.corner += others.T @ others
         self.border_linear += others.T @ output
         self.square += float(output @ output)
@@ -195,8 +207,7 @@ def equations_of_folds(
             for number in np.unique(of_block):
                 part = of_block == number
                 equations[number].add(
-                    rows.matrix[part] if not part.all() else rows.matrix, others[part],
-                    segment.output_um[block][part])
+                    rows.select(part), others[part], segment.output_um[block][part])
         first += width
     return equations
 

@@ -8,6 +8,7 @@ densities. Crossings (i + 1, j) and cells (i, j) have the same numbers: i-major 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -26,14 +27,32 @@ NEAR_A_LEVEL = 0.02
 
 @dataclass(frozen=True, eq=False)
 class EverettRegression:
-    """Rows of the regression."""
+    """Rows of the regression.
 
-    matrix: csr_array
-    """The output is `matrix @ unknowns` plus an offset, (N, n (n + 1)."""
+    Between two reversals only the last of the remembered extremes moves.
+    """
+
+    branches: csr_array
+    """Part of the rows that is the same in each branch, (B, u)."""
+    branch: IntArray
+    """Number of the branch of each sample, (N,)."""
+    moving: csr_array
+    """Part of the rows that depends on the last extreme, (N, u)."""
     history: IntArray
     """Samples with the same number share an offset, (N,). 0: the memory is known. Positive: the
     memory is known for the voltages seen so far, and the rest has not changed. -1: the voltage has
     not been here before, and its effect depends on the unknown past."""
+
+    @cached_property
+    def matrix(self) -> csr_array:
+        """The output is `matrix @ unknowns` plus an offset, (N, u)."""
+        return self.branches[self.branch] + self.moving
+
+    def select(self, mask: BoolArray) -> "EverettRegression":
+        """Return the regression of some samples, (N,)."""
+        kept, branch = np.unique(self.branch[mask], return_inverse=True)
+        return EverettRegression(
+            self.branches[kept], branch, self.moving[mask], self.history[mask])
 
 
 def everett_regression(
@@ -53,9 +72,14 @@ def everett_regression(
     size = levels_v.size - 1
     pairs, history = _pairs(
         _positions(voltage_v, levels_v), size, np.asarray(samples, dtype=np.int64))
-    matrix = csr_array(
-        _rows(pairs, size, len(samples)), shape=(len(samples), size * (size + 3) // 2))
-    return EverettRegression(matrix, history)
+    branch, is_moving, is_first = _branches(pairs, len(samples))
+    older = pairs[is_first & ~is_moving]
+    older[:, 0] = branch[older[:, 0].astype(int)]
+    branches, moving = (
+        csr_array(_rows(part, size, count), shape=(count, size * (size + 3) // 2))
+        for part, count in ((older, 1 + int(branch.max(initial=0))),
+                            (pairs[is_moving], len(samples))))
+    return EverettRegression(branches, branch, moving, history)
 
 
 def remembered_pairs(
@@ -272,6 +296,32 @@ def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArr
                 count += 1
         row += 1
     return pairs[:count], history
+
+
+@njit(cache=True)
+def _branches(pairs: FloatArray, count: int) -> tuple[IntArray, BoolArray, BoolArray]:
+    """Return the branch of each sample, and which pairs are the last and of the first one of each.
+
+    The samples of a branch have the same pairs except for the last one.
+    """
+    branch = np.zeros(count, np.int64)
+    is_moving, is_first = np.zeros(len(pairs), np.bool_), np.zeros(len(pairs), np.bool_)
+    number, begun, older, pair = -1, 0, -1, 0
+    for row in range(count):
+        first = pair
+        while pair < len(pairs) and pairs[pair, 0] == row:
+            pair += 1
+        if pair > first:
+            is_moving[pair - 1] = True
+        same = max(pair - first - 1, 0) == older
+        for k in range(max(pair - first - 1, 0)):
+            same = same and (pairs[first + k, 1] == pairs[begun + k, 1]
+                             and pairs[first + k, 2] == pairs[begun + k, 2])
+        if not same:
+            number, begun, older = number + 1, first, max(pair - first - 1, 0)
+            is_first[first:pair] = True
+        branch[row] = number
+    return branch, is_moving, is_first
 
 
 @njit(cache=True)

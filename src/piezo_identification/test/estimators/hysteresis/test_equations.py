@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""Normal equations by branches beside those of the rows of the regression."""
+
+import numpy as np
+import pytest
+
+from piezo_identification.estimators.hysteresis.equations import Equations
+from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
+
+SIZE, SAMPLES = 12, 3000
+
+
+def walk_v():
+    """A voltage that often leaves the range that it has been in, and reverses in most rows."""
+    return np.cumsum(np.random.default_rng(1).normal(size=SAMPLES))
+
+
+def decaying_v():
+    """Swings that decay: most remembered extremes are those of earlier ones."""
+    rows = np.arange(SAMPLES)
+    return 50.0 - 50.0 * np.cos(2.0 * np.pi * rows / 100.0) * np.exp(-rows / 1000.0)
+
+
+@pytest.mark.parametrize("voltage_v", [walk_v(), decaying_v()])
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_equations_of_branches_are_those_of_their_rows(voltage_v, share):
+    random = np.random.default_rng(2)
+    chosen = random.random(SAMPLES) < share
+    levels_v = np.linspace(voltage_v.min(), voltage_v.max(), SIZE + 1)
+    rows = everett_regression(voltage_v, levels_v).select(chosen)
+    output, others = random.normal(size=chosen.sum()), random.normal(size=(chosen.sum(), 2))
+    equations = Equations(SIZE, 2)
+    equations.add(rows, others, output)
+    matrix = rows.matrix.toarray()
+    scale = np.abs(matrix.T @ matrix).max()
+    assert equations.quadratic.toarray() == pytest.approx(matrix.T @ matrix, abs=1e-12 * scale)
+    assert equations.linear == pytest.approx(matrix.T @ output, abs=1e-11 * scale)
+    assert equations.border == pytest.approx(matrix.T @ others, abs=1e-11 * scale)
+    assert equations.count == output.size
