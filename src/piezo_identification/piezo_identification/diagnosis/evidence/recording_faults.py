@@ -20,6 +20,7 @@ from piezo_identification.conditioning.settling import low_frequency_delay_s
 from piezo_identification.simulation.past_search import after_saturation
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.cascade import StageModel
+from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_recorder.reading.recording import Recording
 
 WRONG_SIGN, MISALIGNED_ROWS = "wrong_sign", "misaligned_rows"
@@ -44,6 +45,8 @@ class FaultSettings:
     slow_row: float = 3.0
     """Shortest row, in group delays of the dynamics, for which a late displacement is attributed to
     the logger: in a fast recording the stage may have a delay."""
+    slow_turn_rad: float = 0.3
+    """Smallest angle by which each mode turns in such a row: a light mode has no group delay."""
 
 
 SETTINGS = FaultSettings()
@@ -105,7 +108,7 @@ def _aligned(run: SimulatedRecording, recording: Recording, rows: int,
              is_reversed: bool) -> tuple[Recording, RecordingFault | None]:
     """Return the recording with aligned rows if that reduces the error, otherwise unchanged."""
     period_s = run.sample_period_s
-    is_slow = period_s > SETTINGS.slow_row * low_frequency_delay_s(run.model.dynamics)
+    is_slow = _is_slow(run.model, period_s)
     if rows == 0 or rows > 0 and not is_slow:
         return recording, None
     aligned = _read_later(recording, rows)
@@ -125,6 +128,15 @@ def _aligned(run: SimulatedRecording, recording: Recording, rows: int,
         "write voltage and displacement of one instant into one row",
         {"rows": rows, "before_rms_um": before_um, "after_rms_um": after_um})
     return aligned, fault
+
+
+def _is_slow(model: StageModel, row_s: float) -> bool:
+    """Return whether rows are too slow to show a delay of the stage."""
+    modes_rad_per_s = (*model.dynamics.mode_frequencies_rad_per_s, *(
+        effect.frequency_rad_per_s for effect in model.effects
+        if isinstance(effect, VibrationMode)))
+    return (row_s > SETTINGS.slow_row * low_frequency_delay_s(model.dynamics)
+            and all(row_s * each > SETTINGS.slow_turn_rad for each in modes_rad_per_s))
 
 
 def _late_rows(run: SimulatedRecording) -> tuple[int, bool]:

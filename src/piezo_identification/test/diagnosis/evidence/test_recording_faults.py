@@ -112,6 +112,11 @@ def test_a_delay_of_whole_rows_of_a_fast_recording_is_the_stages(model):
     # What comes before its cause is no stage's, however fast the recording.
     early = recorded(voltage_v, shifted(answered(voltage_v, period_s), -2), period_s)
     assert [fault.numbers["rows"] for fault in without_faults(model, early)[1]] == [-2]
+    # A mode with little damping hardly delays, but its ringing shows the delay.
+    period_s, voltage_v = 6e-4, voltages("noise")
+    moved_um = behind_mode(0.1 * voltage_v, MODE_RAD_PER_S, 0.02, period_s)
+    light = line_model(MODE_RAD_PER_S, 0.02)
+    assert without_faults(light, recorded(voltage_v, shifted(moved_um, 4), period_s))[1] == []
 
 
 @pytest.mark.long
