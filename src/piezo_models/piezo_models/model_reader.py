@@ -3,6 +3,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import MISSING, fields
 from os import PathLike
 from typing import Any, TypeVar
 
@@ -116,9 +117,10 @@ def _effects(document: ModelDocument) -> tuple[Effect, ...]:
                 f"{path}.name is no effect that is installed here (found {quoted(part.name)})",
                 f"install it, or give one of {', '.join(known)}")
         kind = known[part.name]
-        for name in kind.units():
-            if name not in part.parameters:
-                raise SchemaError(f"{path}.parameters.{name} is missing", ModelDocument.RENEW)
+        for each in fields(kind):
+            # Files of earlier versions lack parameters that were added since, with a default.
+            if each.default is MISSING and each.name not in part.parameters:
+                raise SchemaError(f"{path}.parameters.{each.name} is missing", ModelDocument.RENEW)
         for name in part.parameters:
             if name not in kind.units():
                 raise SchemaError(f"{path}.parameters.{name} is unknown to this version",

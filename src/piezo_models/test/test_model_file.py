@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from piezo_common import text_file
 from piezo_models.cascade import StageModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.identified_model import IdentifiedModel
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
@@ -285,4 +287,19 @@ def test_visited_cells_are_kept_and_those_that_do_not_fit_the_density_refused(id
     assert np.array_equal(load_model(path).visited, identified.visited)
     change(path, lambda document: document["visited"].pop())
     with pytest.raises(ModelFileError, match="visited is no triangle"):
+        load_model(path)
+
+
+def test_a_parameter_that_was_added_since_has_its_default(identified, tmp_path):
+    loops = BoucWenHysteresis(1.0, 4.0, 0.5)
+    identified.model = replace(identified.model, effects=(loops,))
+    path = tmp_path / "m.json"
+    save_model(path, identified)
+    document = json.loads(path.read_text())
+    del document["effects"][0]["parameters"]["exponent"]
+    path.write_text(json.dumps(document))
+    assert load_model(path).model.effects == (loops,)
+    del document["effects"][0]["parameters"]["saturation_v"]
+    path.write_text(json.dumps(document))
+    with pytest.raises(ModelFileError, match="saturation_v is missing"):
         load_model(path)

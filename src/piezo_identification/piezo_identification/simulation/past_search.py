@@ -32,7 +32,7 @@ class PastSearchSettings:
     compared_samples: int = 200_000
     """Samples at the start of the recording on which the errors with and without a past are
     compared."""
-    fewest_samples: int = 10_000
+    fewest_samples: int = 50_000
     """Fewest samples at the start of the recording that are simulated for each candidate."""
     until_forgotten: float = 2.0
     """Length of the start that is simulated for each candidate, relative to that after which the
