@@ -367,13 +367,13 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
     bare = replace(_electric(given, 0.0), creep=_creep_up_to(given.creep, ringing))
     effects = (*_in_phase(modes), *others)
     what = f"{len(modes)} modes that ring"
+    yield Structure(f"{what}, with an amplifier's lag", replace(
+        bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
     if len(modes) > 1:
         # Modes of a wrong order stand for errors of the loops, and are hard to remove again.
         yield Structure("its loudest mode alone, with an amplifier's lag", replace(
             bare, dynamics=loudest_mode(given, problem.sample_period_s),
             effects=(AmplifierLag(lag_s), *others)), delay_s)
-    yield Structure(f"{what}, with an amplifier's lag", replace(
-        bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
     if is_loop_recorded:
         # The delay is added later.
         late_s = lag_s + max(delay_s or 0.0, 0.0)

@@ -472,7 +472,8 @@ def test_modes_between_which_are_antiresonances_stand_in_parallel_in_every_start
     problem = WholeModel(wrong, recordings, [0.0] * 3)
     in_series = ElectricVibrationDynamics(1e-4, (2800.0, 4900.0), (0.05, 0.03), (3500.0,), (0.04,))
     listed = list(starts(problem, replace(wrong, dynamics=in_series), None, True))
-    loudest, *others = listed
+    others = [each for each in listed if "loudest" not in each.change]
+    loudest, = (each for each in listed if each not in others)
     (frequency,) = loudest.model.dynamics.mode_frequencies_rad_per_s
     assert frequency == pytest.approx(4900.0, rel=0.01) and others
     for structure in others:
