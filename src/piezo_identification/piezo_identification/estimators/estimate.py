@@ -132,15 +132,11 @@ class Estimate:
     @property
     def residual_rms(self) -> float:
         """Residual of the chosen order, in the unit of the fitted output."""
-        return self._chosen.residual_rms
+        return self.chosen.residual_rms
 
     @property
-    def information(self) -> float:
-        """Bayesian information criterion of the chosen order."""
-        return self._chosen.information
-
-    @property
-    def _chosen(self) -> OrderTrial:
+    def chosen(self) -> OrderTrial:
+        """The trial of the chosen order."""
         return next(trial for trial in self.trials if trial.order == self.order)
 
     @property

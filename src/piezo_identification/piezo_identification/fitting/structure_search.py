@@ -634,10 +634,10 @@ def _in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
     if found is not None:
         dynamics, lead_s = found
         lag_s = model.dynamics.time_constant_s - lead_s
-        yield Structure(MODES_IN_SERIES, *_later(replace(
-            model, dynamics=replace(dynamics, time_constant_s=max(lag_s, 0.0)),
-            effects=tuple(effect for effect in model.effects if effect not in modes),
-            ), delay_s, min(lag_s, 0.0)), is_far=True)
+        others = tuple(effect for effect in model.effects if effect not in modes)
+        in_series = replace(model, effects=others, dynamics=replace(
+            dynamics, time_constant_s=max(lag_s, 0.0)))
+        yield Structure(MODES_IN_SERIES, *_later(in_series, delay_s, min(lag_s, 0.0)), is_far=True)
 
 
 def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structure:

@@ -27,11 +27,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
-from piezo_identification.identification.given_data import (
-    Data,
-    keys_of_kind,
-    of_kind,
-)
+from piezo_identification.identification.given_data import Data, keys_of_kind, of_kind
 from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
@@ -212,14 +208,14 @@ def new_loops(
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
     after the voltage; the voltages of those in `straight` are straight between their rows, not
-    held. `near` is an estimate from the same recordings with nearly the same creep and
-    dynamics.
+    held. `near` is an estimate from the same recordings with nearly the same creep and dynamics.
     """
-    simulated = [
-        simulated_recording(
-            model, with_straight_voltage(recordings[name]) if name in straight
-            else recordings[name], read_late_s=read_late_s[name])
-        for name in keys_of_kind(recordings, "hysteresis")]
+    def simulated_loops(name: str) -> SimulatedRecording:
+        loops = recordings[name]
+        return simulated_recording(model, with_straight_voltage(loops) if name in straight
+                                   else loops, read_late_s=read_late_s[name])
+
+    simulated = list(map(simulated_loops, keys_of_kind(recordings, "hysteresis")))
     return density_of_parts([each.part for each in simulated], list(map(_loops_again, simulated)),
                             near=near, **options.keywords())
 

@@ -33,7 +33,11 @@ from piezo_identification.estimators.frequency_response.response_fit import (
 )
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
-from piezo_identification.fitting.evidence import independent_errors, log_evidence
+from piezo_identification.fitting.evidence import (
+    INDEPENDENT,
+    independent_errors,
+    log_evidence,
+)
 from piezo_identification.fitting.whole_model import BEFORE_DELAY
 from piezo_identification.simulation.past_search import after_saturation
 from piezo_models.cascade import StageModel
@@ -356,8 +360,10 @@ def _from_response(
     if has_loss:
         return lossy
     lossless = estimate_from_response(measured, order)
-    gain = 0.5 * (lossless.information - lossy.information)
-    return lossy if gain > DECISIVE else lossless
+    independent = min(2.0 * measured.frequency_hz.size, INDEPENDENT)
+    with_loss, without = (log_evidence(
+        each.residual_rms**2, each.chosen.parameters, independent) for each in (lossy, lossless))
+    return lossy if with_loss > without + DECISIVE else lossless
 
 
 def _likely(found: LinearDynamics) -> list[ModeOrder]:
