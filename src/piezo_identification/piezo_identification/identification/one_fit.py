@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The last step of an identification: a joint fit of the whole model to all recordings."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -224,22 +224,29 @@ class _Search:
         """Return a state, or a better one in which the rows of a recording are read otherwise.
 
         The separate steps found when rows are read beside dynamics that may have been wrong, and
-        took every voltage as held.
+        took every voltage as held. A recording that is read otherwise must itself be explained
+        better: a wrong model may only gain elsewhere by giving it up.
         """
         for index, name in enumerate(self.names):
             with while_time_lasts("rows that are read at another time"):
-                if state.read_late_s[name] and not is_at_noise(state.problem, state.best):
-                    state = _better(self._refitted(
-                        replace(state, problem=state.problem.read_with_voltage(index),
-                                read_late_s={**state.read_late_s, name: 0.0}),
-                        f"rows of the {name} read with their voltage", fraction), state)
-                if name in self.may_be_straight and not is_at_noise(state.problem, state.best):
-                    state = _better(self._refitted(
-                        replace(state, problem=state.problem.with_straight_voltage(index),
-                                read_late_s={**state.read_late_s, name: 0.0},
-                                straight=state.straight | {name}),
-                        f"a straight voltage between the rows of the {name}", fraction), state)
+                for change, other in self._readings(state, index, name):
+                    if is_at_noise(state.problem, state.best):
+                        break
+                    read = self._refitted(other, change, fraction)
+                    if read.best.rms_um[index] < state.best.rms_um[index]:
+                        state = _better(read, state)
         return state
+
+    def _readings(self, state: _State, index: int, name: str) -> Iterator[tuple[str, _State]]:
+        """Yield states that read the rows of a recording otherwise, before they are fitted."""
+        at_once = {**state.read_late_s, name: 0.0}
+        if state.read_late_s[name]:
+            yield f"rows of the {name} read with their voltage", replace(
+                state, problem=state.problem.read_with_voltage(index), read_late_s=at_once)
+        if name in self.may_be_straight:
+            yield f"a straight voltage between the rows of the {name}", replace(
+                state, problem=state.problem.with_straight_voltage(index), read_late_s=at_once,
+                straight=state.straight | {name})
 
     def _refitted(self, state: _State, change: str, fraction: float) -> _State:
         """Return a state whose problem has changed, with all parameters and the loops fitted.
