@@ -63,8 +63,6 @@ class SearchSettings:
     wrong: float = 3.0
     """Residual of the fastest recording, relative to its noise, above which every structure gets as
     many steps as the first fit."""
-    drifting: float = 1.5
-    """Residual of loops, relative to their noise, above which they may be of another kind."""
     highest: float = 0.3
     """Highest frequency of a mode, relative to the sampling frequency."""
     slowest: float = 1e-3

@@ -200,15 +200,13 @@ class _Search:
     def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
         """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
 
-        A state whose loops are explained or not recorded is returned as it is, and so is any when
-        the time is over.
+        A state at the noise or without recorded loops is returned as it is, and so is any when the
+        time is over. Loops that are explained do not exclude it: a density may have followed them
+        while creep and dynamics did not.
         """
-        loops = [experiment_of(name) == "hysteresis" for name in self.names]
-        over_noise = state.problem.over_noise(state.best)[: len(loops)]
-        shows_loops = any(loops) or not self.given.model.hysteresis.is_line
-        is_explained = is_at_noise(state.problem, state.best) or (
-            any(loops) and bool(np.all(over_noise[loops] < SETTINGS.drifting)))
-        if is_explained or not shows_loops:
+        shows_loops = not self.given.model.hysteresis.is_line or any(
+            experiment_of(name) == "hysteresis" for name in self.read_late_s)
+        if not shows_loops or is_at_noise(state.problem, state.best):
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()
