@@ -47,6 +47,9 @@ class SearchSettings:
     promise_of_start: float = 1000.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
     followed, before and after the search from the best start: its loops were not yet estimated."""
+    promise_before_pasts: float = 3000.0
+    """Largest deficit with which the pasts are sought behind a Bouc-Wen hysteresis: without them,
+    all recordings begin at rest."""
     chance: float = 3.0
     """Largest loss of log-likelihood on held-out rows that is attributed to chance."""
     distinct: float = 1.0
@@ -195,11 +198,13 @@ def fitted_with_bouc_wen(problem: WholeModel,
 
     def fitted(form: str, found: WholeModel, start: StageModel) -> Begun:
         fit = _raced(found, Structure(form, start, best.delay_s), best, SETTINGS.steps,
-                     promise=SETTINGS.promise_of_start)
+                     promise=SETTINGS.promise_before_pasts)
         tried.append((form, fit))
+        promise = SETTINGS.promise_before_pasts
         for _ in range(SETTINGS.rounds):
-            if is_at_noise(found, fit) or not is_promising(fit, best):
+            if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
                 break
+            promise = SETTINGS.promise_of_start
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
             tried.append((f"{form}, pasts sought again", closer))
