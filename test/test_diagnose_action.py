@@ -92,7 +92,7 @@ def test_a_diagnosis_whose_time_is_over_says_what_it_has_not_tried(suite, files,
                             recordings=[str(files["data"])])
     finally:
         in_s(0.0)
-    assert result.message.startswith("the time of 0.001 s is over; not tried: ")
+    assert result.message.startswith("the time of 0.001 s does not suffice; not tried: ")
     assert json.loads(result.verdict_json)["not_tried"] == result.message
 
 
