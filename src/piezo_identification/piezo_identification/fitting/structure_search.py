@@ -229,9 +229,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
     """Yield a model, and with the loudest of several modes alone, with what to add to its name."""
     yield model, ""
-    others = tuple(effect for effect in model.effects if not isinstance(effect, VibrationMode))
-    modes = len(model.effects) - len(others) + len(model.dynamics.mode_frequencies_rad_per_s)
-    if modes > 1:
+    modes, others = _modes_and_others(model)
+    if len(modes) + len(model.dynamics.mode_frequencies_rad_per_s) > 1:
         yield replace(model, effects=others, dynamics=replace(
             loudest_mode(model, problem.sample_period_s),
             time_constant_s=model.dynamics.time_constant_s)), ", the loudest mode"
@@ -624,12 +623,18 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
                         replace(model, creep=creep), delay_s)
 
 
+def _modes_and_others(model: StageModel) -> tuple[list[VibrationMode], tuple[Effect, ...]]:
+    """Return the parallel modes of a model, and its other effects."""
+    return ([effect for effect in model.effects if isinstance(effect, VibrationMode)],
+            tuple(effect for effect in model.effects if not isinstance(effect, VibrationMode)))
+
+
 def _in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
     """Yield the model with its parallel modes in series, if these have fewer parameters.
 
     A real zero of parallel modes often cancels the electric lag, which is then shorter in series.
     """
-    modes = [effect for effect in model.effects if isinstance(effect, VibrationMode)]
+    modes, others = _modes_and_others(model)
     is_coupled = any(type(mode) is CoupledMode for mode in modes)
     if not (is_coupled or len(modes) == 1) or model.dynamics.mode_frequencies_rad_per_s:
         return
@@ -637,7 +642,6 @@ def _in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
     if found is not None:
         dynamics, lead_s = found
         lag_s = model.dynamics.time_constant_s - lead_s
-        others = tuple(effect for effect in model.effects if effect not in modes)
         in_series = replace(model, effects=others, dynamics=replace(
             dynamics, time_constant_s=max(lag_s, 0.0)))
         yield Structure(MODES_IN_SERIES, *_later(in_series, delay_s, min(lag_s, 0.0)), is_far=True)
@@ -678,11 +682,11 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
         yield Structure("its modes out of phase", replace(model, effects=tuple(
             CoupledMode(*effect.parameters().values()) if type(effect) is VibrationMode else effect
             for effect in model.effects)), delay_s)
-    modes = [effect for effect in model.effects if isinstance(effect, VibrationMode)]
+    modes, others = _modes_and_others(model)
     merged = apart(modes)
     if len(merged) < len(modes):
-        yield Structure("its overlapping modes as one", replace(model, effects=(
-            *merged, *(effect for effect in model.effects if effect not in modes))), delay_s)
+        yield Structure("its overlapping modes as one",
+                        replace(model, effects=(*merged, *others)), delay_s)
     late_s = _lag_of_coupled_modes(model)
     if late_s > 0.0:
         yield Structure("its modes in phase, behind a delay", replace(model, effects=tuple(

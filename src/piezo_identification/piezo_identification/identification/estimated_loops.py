@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from piezo_identification.conditioning.row_alignment import with_straight_voltage
 from piezo_identification.conditioning.sensor_noise import noise_floor_um
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.estimators.hysteresis.density_estimate import (
@@ -27,7 +26,12 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
-from piezo_identification.identification.given_data import Data, keys_of_kind, of_kind
+from piezo_identification.identification.given_data import (
+    Data,
+    keys_of_kind,
+    of_kind,
+    with_straight_voltages,
+)
 from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
 from piezo_identification.simulation.simulated_recording import SimulatedRecording
@@ -210,12 +214,10 @@ def new_loops(
     after the voltage; the voltages of those in `straight` are straight between their rows, not
     held. `near` is an estimate from the same recordings with nearly the same creep and dynamics.
     """
-    def simulated_loops(name: str) -> SimulatedRecording:
-        loops = recordings[name]
-        return simulated_recording(model, with_straight_voltage(loops) if name in straight
-                                   else loops, read_late_s=read_late_s[name])
-
-    simulated = list(map(simulated_loops, keys_of_kind(recordings, "hysteresis")))
+    loops = of_kind(with_straight_voltages(recordings, straight), "hysteresis")
+    simulated = [
+        simulated_recording(model, each, read_late_s=read_late_s[name])
+        for name, each in zip(keys_of_kind(recordings, "hysteresis"), loops, strict=True)]
     return density_of_parts([each.part for each in simulated], list(map(_loops_again, simulated)),
                             near=near, **options.keywords())
 

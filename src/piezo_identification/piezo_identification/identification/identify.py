@@ -364,7 +364,8 @@ def report_starts(recordings: Mapping[str, Data], cycled: Mapping[str, Data],
         note(Detail(f"start of the {name}: {'; '.join(words)}"))
 
 
-def report_loss(model: StageModel, dynamics: object, note: Callable[[str], object]) -> None:
+def report_loss(model: StageModel, dynamics: Recordings | FrequencyResponse | None,
+                note: Callable[[str], object]) -> None:
     """Report the angle of a response that a model without hysteresis leaves out."""
     if model.has_hysteresis or not isinstance(dynamics, FrequencyResponse):
         return

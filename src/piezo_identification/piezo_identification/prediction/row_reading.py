@@ -113,19 +113,20 @@ def _gain_sentences(prediction: Prediction, path: str) -> list[str]:
 
 def read_as_explained(
     model: StageModel, recording: Recording, read_at_samples: Sequence[float],
-    may_have_straight: bool = False,
+    some_are_straight: bool = False,
 ) -> tuple[Recording, float]:
     """Align the rows of a recording with the reading time for which a model fits best; return both.
 
     Reading times are given in sample periods after the voltage of a row changed; 0 and the time
-    that jumps show are always tried, and, if wanted, a voltage that is straight between the rows.
-    Raise ValueError if the recording has gaps, or is too short.
+    that jumps show are always tried. If some recordings of the identification had a voltage that is
+    straight between the rows, that is tried, too. Raise ValueError if the recording has gaps, or is
+    too short.
     """
     instants = {read_as(recording, instant) for instant in read_at_samples}
     instants |= {reading_at_jumps(recording) or 0.0}
     tried = [(rows_read_at_start(recording, instant), instant)
              for instant in sorted({0.0, *instants})]
-    if may_have_straight and may_be_straight(recording):
+    if some_are_straight and may_be_straight(recording):
         tried.append((with_straight_voltage(recording), 0.0))
     if len(tried) == 1:
         return recording, 0.0

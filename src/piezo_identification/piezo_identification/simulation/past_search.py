@@ -75,7 +75,9 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     part = after_saturation(model, _start_of(recording, SETTINGS.compared_samples))
     if not model.has_hysteresis or _starts_saturated(part):
         return ()
-    start = after_saturation(model, _start_of(recording, _samples_with_past(part.voltage_v)))
+    samples = _samples_with_past(part.voltage_v)
+    start = part if samples >= part.time_s.size else after_saturation(
+        model, _start_of(recording, samples))
     closest = min((part.after(past_v) for past_v in (
         _closest_past_v(start), _closest_demagnetised_v(start))), key=SimulatedRecording.error_um)
     explains_more = closest.error_um() < SETTINGS.largest_error_ratio * part.error_um()

@@ -137,20 +137,22 @@ class ResponseSearch:
         longest_s = turn_s + 2.0 * slope_s
         count = min(round(DELAYS_A_TURN * longest_s / turn_s), MOST_DELAYS)
 
-        def fitted(delay_s: float, loss_rad: float = 0.0) -> tuple[float, ComplexArray]:
+        def fitted(delay_s: float,
+                   loss_rad: float = 0.0) -> tuple[float, float, float, ComplexArray]:
             check_cancelled()
             turned = Lines(rate, gain * np.exp(1j * (rate * delay_s + loss_rad)))
             poles = vector_fit(turned, min(SPARE_POLES, rate.size // 5))
-            return float(np.linalg.norm(residual_of_poles(turned, poles))), poles
+            residual = float(np.linalg.norm(residual_of_poles(turned, poles)))
+            return residual, delay_s, loss_rad, poles
 
-        delay_s = min(np.linspace(0.0, longest_s, count + 1), key=lambda each: fitted(each)[0])
-        # Poles do not describe the same angle at all frequencies.
-        loss_rad = minimize_scalar(
-            lambda each: fitted(delay_s, each)[0], bounds=(0.0, MOST_LOSS_RAD),
-            options={"xatol": LOSS_STEP_RAD}).x if self._has_loss else 0.0
-        if fitted(delay_s)[0] <= fitted(delay_s, loss_rad)[0]:
-            loss_rad = 0.0
-        return delay_s, loss_rad, fitted(delay_s, loss_rad)[1]
+        best = min(map(fitted, np.linspace(0.0, longest_s, count + 1)), key=lambda fit: fit[0])
+        if self._has_loss:
+            # Poles do not describe the same angle at all frequencies.
+            loss_rad = minimize_scalar(
+                lambda each: fitted(best[1], each)[0], bounds=(0.0, MOST_LOSS_RAD),
+                options={"xatol": LOSS_STEP_RAD}).x
+            best = min(best, fitted(best[1], loss_rad), key=lambda fit: fit[0])
+        return best[1:]
 
     def measured_response(self) -> MeasuredResponse:
         """Return the response with its noise for a fit together with recordings."""
