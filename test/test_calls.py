@@ -11,9 +11,10 @@ from types import SimpleNamespace
 import pytest
 import rclpy
 from builtin_interfaces.msg import Time
+from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.action import PlayWaveform
-from piezo_interfaces.srv import LoadFeedforward, StopRecording
+from piezo_interfaces.srv import LoadFeedforward, StartRecording, StopRecording
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.experimental import EventsExecutor
 from std_srvs.srv import Trigger
@@ -94,6 +95,15 @@ def spinning(namespace):
         one.close()
 
 
+def lose_first_response(service):
+    send = service.send_response
+
+    def lose(response, header):
+        service.send_response = send
+
+    service.send_response = lose
+
+
 @pytest.fixture
 def forgetful(spinning):
     """A server of some services that loses its first response to each; the requests it got."""
@@ -105,17 +115,11 @@ def forgetful(spinning):
             response.success = True
             return response
 
-        service = server.make(server.node.create_service, service_type, name, answer)
-        send = service.send_response
-
-        def lose_the_first(response, header):
-            service.send_response = send
-
-        service.send_response = lose_the_first
+        lose_first_response(server.make(server.node.create_service, service_type, name, answer))
 
     serve(LoadFeedforward, "load_feedforward")
     serve(StopRecording, "recorder/stop_recording")
-    serve(ChangeState, "stage/change_state")
+    serve(StartRecording, "recorder/start_recording")
     return requests
 
 
@@ -151,11 +155,37 @@ def test_request_that_must_not_act_twice_is_never_sent_twice(
         forgetful, soon, namespace, monkeypatch):
     monkeypatch.setattr(client_module, "CALL_TIMEOUT_S", 3.0)
     with Client(namespace, "asking") as client:
-        meet(client.node, "stage/change_state")
+        meet(client.node, "recorder/start_recording")
         with pytest.raises(ServiceFailed, match="/server did not answer .* within 3 s"):
-            client.call(ChangeState, "stage/change_state")
+            client.call(StartRecording, "recorder/start_recording")
         assert client.spin_until(lambda: forgetful, TIMEOUT_S)
     assert len(forgetful) == 1
+
+
+@pytest.mark.parametrize("acts", [True, False])
+def test_transition_whose_response_was_lost_succeeds_if_it_took_place(
+        acts, spinning, soon, namespace):
+    server, requests = spinning("server"), []
+
+    def change_state(request, response):
+        requests.append(request.transition.id)
+        response.success = acts and len(requests) == 1
+        return response
+
+    def get_state(request, response):
+        response.current_state.id = (
+            State.PRIMARY_STATE_ACTIVE if acts else State.PRIMARY_STATE_INACTIVE)
+        return response
+
+    service = server.make(
+        server.node.create_service, ChangeState, "stage/change_state", change_state)
+    server.make(server.node.create_service, GetState, "stage/get_state", get_state)
+    lose_first_response(service)
+    with Client(namespace, "asking") as client:
+        assert client.call(ChangeState, "stage/change_state", transition=Transition(
+            id=Transition.TRANSITION_ACTIVATE)).success == acts
+    assert set(requests) == {Transition.TRANSITION_ACTIVATE}
+    assert len(requests) >= 2
 
 
 def test_stop_of_a_recording_is_asked_for_again_by_a_client(forgetful, soon, namespace):

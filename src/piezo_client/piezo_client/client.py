@@ -8,6 +8,8 @@ from typing import Any, Self
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from piezo_interfaces.action import Diagnose, Identify, PlayWaveform, RunExperiment, Track
 from piezo_interfaces.msg import Reference, StageDescription
 from rclpy.action.client import ClientGoalHandle
@@ -51,6 +53,18 @@ ACTIONS = {
     "diagnose": (Diagnose, "identification/diagnose"),
     "track": (Track, "controller/track"),
 }
+
+
+STATE_AFTER = {
+    Transition.TRANSITION_CONFIGURE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_CLEANUP: State.PRIMARY_STATE_UNCONFIGURED,
+    Transition.TRANSITION_ACTIVATE: State.PRIMARY_STATE_ACTIVE,
+    Transition.TRANSITION_DEACTIVATE: State.PRIMARY_STATE_INACTIVE,
+    Transition.TRANSITION_UNCONFIGURED_SHUTDOWN: State.PRIMARY_STATE_FINALIZED,
+    Transition.TRANSITION_INACTIVE_SHUTDOWN: State.PRIMARY_STATE_FINALIZED,
+    Transition.TRANSITION_ACTIVE_SHUTDOWN: State.PRIMARY_STATE_FINALIZED,
+}
+"""State of a lifecycle node after a transition, which leads from another state."""
 
 
 class GoalFailed(RuntimeError):
@@ -330,7 +344,8 @@ class Client:
         """Call a service and return its response.
 
         The request is sent again if no response comes and a repetition does no harm: a request with
-        a number acts once for its number. Raises `ServiceFailed` if there is no server, or its node
+        a number acts once for its number, and a transition of a lifecycle node leads from one state
+        only. Raises `ServiceFailed` if there is no server, or its node
         ends before it responds.
         """
         with self._signals.hold():
@@ -346,7 +361,9 @@ class Client:
             return self._answer(client, name, request)
 
     def _answer(self, client: rclpy.client.Client, name: str, request: Message) -> Message:
-        repeatable = may_be_repeated(request)
+        leads_to = (STATE_AFTER.get(request.transition.id)
+                    if isinstance(request, ChangeState.Request) else None)
+        repeatable = leads_to is not None or may_be_repeated(request)
         answers = [client.call_async(request)]
 
         def answered() -> bool:
@@ -366,7 +383,12 @@ class Client:
             if repeatable and now_s - sent_s > resend_s:
                 sent_s, resend_s = now_s, 2.0 * resend_s
                 answers.append(client.call_async(request))
-        return next(answer for answer in answers if answer.done()).result()
+        response = next(answer for answer in answers if answer.done()).result()
+        if leads_to is not None and len(answers) > 1 and not response.success:
+            # A repetition is refused if the first request acted and its response was lost.
+            state = self.call(GetState, f"{name.rpartition('/')[0]}/get_state").current_state
+            response.success = state.id == leads_to
+        return response
 
     def _await(self, ready: Callable[[], bool], name: str) -> None:
         """Wait for the server of a name; longer if there are other nodes in the namespace."""
