@@ -8,6 +8,7 @@ from typing import Any, TypeGuard
 import control
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import lfilter
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_identification.conditioning.waveforms import jumps_of, longest_run
@@ -180,15 +181,39 @@ def rings_unresolved(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
     is marked after each of them.
     """
     rows = np.arange(voltage_v.size)
-    frequencies = [*dynamics.mode_frequencies_rad_per_s, *(
-        mode.frequency_rad_per_s for mode in getattr(dynamics, "parallel_modes", ()))]
     jumps = jumps_of(voltage_v)
-    if not frequencies or not jumps.size or sample_period_s * min(frequencies) < 1.0:
+    if not jumps.size or not _unresolved_poles(dynamics, sample_period_s).size:
         return np.zeros(rows.size, dtype=bool)
     settling_s = settling_time_s(dynamics) * np.log(UNRESOLVED) / np.log(NEGLIGIBLE)
     settled = min(settling_s / sample_period_s, MOST_OF_RECORDING * longest_run(voltage_v))
     last = np.concatenate([[-np.inf], jumps])[np.searchsorted(jumps, rows, side="right")]
     return np.asarray((rows > last) & (rows - last <= settled))
+
+
+def unresolved_ringing(dynamics: ElectricVibrationDynamics, voltage_v: FloatArray,
+                       sample_period_s: float) -> FloatArray:
+    """Return the ringing of modes after jumps that is too fast for the rows, (N, k).
+
+    Two signals for each mode, of which any sum has the right frequency and damping, leave its
+    amplitude and phase free; see `rings_unresolved`. There are none without jumps.
+    """
+    jumps = jumps_of(voltage_v)
+    jumped_v = np.zeros(voltage_v.size, dtype=complex)
+    jumped_v[jumps] = np.diff(voltage_v)[jumps - 1]
+    poles = _unresolved_poles(dynamics, sample_period_s) if jumps.size else np.empty(0)
+    signals = [lfilter([0.0, 1.0], [1.0, -np.exp(pole * sample_period_s)], jumped_v)
+               for pole in poles]
+    return np.column_stack([np.empty((voltage_v.size, 0)), *(
+        part for signal in signals for part in (signal.real, signal.imag))])
+
+
+def _unresolved_poles(dynamics: ElectricVibrationDynamics,
+                      sample_period_s: float) -> ComplexArray:
+    """Return the poles of modes that ring, if the rows resolve none of the modes, (k,)."""
+    poles = dynamics.state_space().poles()
+    poles = poles[poles.imag > 0.0]
+    is_resolved = sample_period_s * np.abs(poles).min(initial=np.inf) < 1.0
+    return np.asarray(poles[:0] if is_resolved else poles)
 
 
 def first_settled(dynamics: ElectricVibrationDynamics, time_s: FloatArray,

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,11 @@ class SearchSettings:
     """Largest number of changes of the structure."""
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
-    promise_of_start: float = 1000.0
+    promise_of_start: float = 300.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
     followed, before and after the search from the best start: its loops were not yet estimated."""
+    promise_before_loops: float = 3000.0
+    """Largest deficit with which the loops are estimated again with a start."""
     promise_before_pasts: float = 3000.0
     """Largest deficit with which the pasts are sought behind a Bouc-Wen hysteresis: without them,
     all recordings begin at rest."""
@@ -55,6 +58,9 @@ class SearchSettings:
     distinct: float = 1.0
     """Largest gain of log-evidence with which a structure of as many parameters does not replace
     another: the recordings do not tell the two apart, and other motion may."""
+    worthwhile: float = 0.01
+    """Smallest gain of log-evidence for each independent error with which a search goes on if a
+    residual is not noise. It reduces the RMS residual by a hundredth."""
     modes_less: int = 2
     """Number of modes per round, the least important ones, that are removed on trial."""
     above_noise: float = 1.05
@@ -81,6 +87,10 @@ class SearchSettings:
     """Smallest initial time constant of a new lag, in sample periods."""
     faster_creep: float = 8.0
     """Rate of a new creep pair, relative to the fastest rate."""
+    first_pairs: int = 4
+    """Number of creep pairs that are added together to a model without any."""
+    first_creep: float = 0.005
+    """Initial size of each of them, relative to the displacement."""
     widest_gap: float = 12.0
     """Ratio of neighbouring creep rates above which a start gets another pair between them."""
 
@@ -129,10 +139,8 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     dynamics takes long to correct them. One estimate is used for all starts except the given model,
     because the starts differ little at the speed of the loops.
 
-    The first result holds the promising fits, each with its problem: the best fit of all, including
-    the given model, and the best one with another kind of amplifier if it is not far behind. Which
-    one will end up better is not known at this stage. If they are alike, the amplifier of second
-    order comes first. The second result holds all fits in the order they were made.
+    Return the fits that may be continued, each with its problem, and all fits in the order they
+    were made.
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
@@ -169,17 +177,7 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
             found += [(where, each) for _, each in here]
             for _, each in here:
                 best = each if is_better(each, best) else best
-    rivals = sorted(((where, fit) for where, fit in found
-                     if fit is not before and has_amplifier(fit) != has_amplifier(best)
-                     and fit.evidence_over(best) > -SETTINGS.promise_of_start),
-                    key=lambda entry: -entry[1].evidence_over(best))
-    promising = [(where, fit) for where, fit in found if fit is best] + rivals[:1]
-    # The search can make an amplifier simpler, but finds no other one once the fast rows are
-    # explained.
-    if rivals and has_amplifier(rivals[0][1]) and (
-            rivals[0][1].evidence_over(best) > -SETTINGS.promise):
-        promising.reverse()
-    return promising, tried
+    return [(where, fit) for where, fit in found if fit is not before or fit is best], tried
 
 
 def fitted_with_bouc_wen(problem: WholeModel,
@@ -196,34 +194,35 @@ def fitted_with_bouc_wen(problem: WholeModel,
     """
     tried = list[Tried]()
 
-    def fitted(form: str, found: WholeModel, start: StageModel) -> Begun:
-        fit = _raced(found, Structure(form, start, best.delay_s), best, SETTINGS.steps,
-                     promise=SETTINGS.promise_before_pasts)
-        tried.append((form, fit))
-        promise = SETTINGS.promise_before_pasts
-        for _ in range(SETTINGS.rounds):
-            if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
+    def with_pasts(form: str, found: WholeModel, fit: WholeFit, rounds: int) -> Begun:
+        gain = SETTINGS.promise_before_pasts
+        for left in range(rounds, 0, -1):
+            if is_at_noise(found, fit) or fit.evidence_over(best) < -left * gain:
                 break
-            promise = SETTINGS.promise_of_start
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
             tried.append((f"{form}, pasts sought again", closer))
-            if not is_better(closer, fit) or closer.evidence_over(fit) < DECISIVE:
+            gain = closer.evidence_over(fit)
+            if not is_better(closer, fit) or gain < DECISIVE:
                 break
             found, fit = again, closer
         return found, fit
 
-    fits = list[Begun]()
+    fits = dict[str, Begun]()
     for model, what in _with_fewer_modes(problem, best.model):
         with_line, start = problem.with_bouc_wen(model)
         for curve in ("", ", a curve"):
-            if not any(is_at_noise(*each) for each in fits):
-                where = with_line.with_curve(start) if curve else with_line
-                fits.append(fitted(f"{BOUC_WEN}{curve}{what}", where, start))
-    found = fits[0]
-    for other in fits[1:]:
-        found = other if is_better(other[1], found[1]) else found
-    return *found, tried
+            if any(is_at_noise(*each) for each in fits.values()):
+                continue
+            where, form = with_line.with_curve(start) if curve else with_line, (
+                f"{BOUC_WEN}{curve}{what}")
+            fit = _raced(where, Structure(form, start, best.delay_s), best, SETTINGS.steps,
+                         promise=SETTINGS.promise_before_pasts)
+            tried.append((form, fit))
+            fits[form] = with_pasts(form, where, fit, 1)
+    leader = best_of([fit for _, fit in fits.values()])
+    form = next(form for form, (_, fit) in fits.items() if fit is leader)
+    return *with_pasts(form, *fits[form], SETTINGS.rounds), tried
 
 
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
@@ -234,6 +233,28 @@ def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[
         yield replace(model, effects=others, dynamics=replace(
             loudest_mode(model, problem.sample_period_s),
             time_constant_s=model.dynamics.time_constant_s)), ", the loudest mode"
+
+
+def best_of(fits: Sequence[WholeFit]) -> WholeFit:
+    """Return the best of some fits; of equals, the first one."""
+    return reduce(lambda best, fit: fit if is_better(fit, best) else best, fits)
+
+
+def promising(fits: Sequence[WholeFit]) -> list[WholeFit]:
+    """Return the best fit, and the best one with another amplifier if it is not far behind.
+
+    Which one will end up better is not known before the search. If they are alike, the amplifier of
+    second order comes first: the search can make an amplifier simpler, but finds no other one once
+    the fast rows are explained.
+    """
+    best = best_of(fits)
+    rivals = [fit for fit in fits
+              if has_amplifier(fit) != has_amplifier(best) and is_promising(fit, best)]
+    if not rivals:
+        return [best]
+    rival = best_of(rivals)
+    is_alike = rival.evidence_over(best) > -SETTINGS.promise
+    return [rival, best] if has_amplifier(rival) and is_alike else [best, rival]
 
 
 def is_promising(start: WholeFit, best: WholeFit) -> bool:
@@ -289,7 +310,9 @@ def searched(problem: WholeModel, best: WholeFit,
             # What added nothing before a part was left out adds nothing after it.
             is_simpler = all(
                 fit.numbers < best.numbers for fit in _better(problem, screened, best))
-            best = max(better, key=lambda fit: fit.evidence_over(best))
+            before, best = best, max(better, key=lambda fit: fit.evidence_over(best))
+            if is_pointless(problem, before, best):
+                break
         problem.about_here()
         last = problem.again(best, SETTINGS.steps)
         tried.append(("the same, on from there", last))
@@ -567,6 +590,15 @@ def is_better(fit: WholeFit, other: WholeFit) -> bool:
     return gain > 0.0 and gain + fit.held_out_over(other) > -chance
 
 
+def is_pointless(problem: WholeModel, before: WholeFit, best: WholeFit) -> bool:
+    """Return whether a change gained little beside a residual that is clearly not noise.
+
+    The model then lacks something that no further change of its structure replaces.
+    """
+    is_wrong = problem.over_noise(best).max() > SETTINGS.wrong
+    return is_wrong and best.evidence_over(before) < SETTINGS.worthwhile * best.counts.sum()
+
+
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:
     """Return whether the frequencies of all additional modes are within the sampled band."""
     return all(effect.frequency_rad_per_s <= _end_of_band_rad_per_s(problem)
@@ -725,7 +757,8 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     kinds = {type(effect) for effect in model.effects}
     if model.dynamics.is_static and not kinds:
         # Only slow recordings were given, which show nothing fast, and creep far from the optimum.
-        for structure in (*_with_creep_between(model, delay_s),
+        for structure in (*_with_creep(problem, model, delay_s),
+                          *_with_creep_between(model, delay_s),
                           *_with_faster_creep(problem, model, delay_s)):
             yield replace(structure, is_far=True)
         return
@@ -741,6 +774,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         yield Structure("with a sensor's lag", _with(earlier, SensorLag(lag_s)), earlier_s)
     if model.dynamics.time_constant_s == 0.0:
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
+    yield from _with_creep(problem, model, delay_s)
     yield from _with_creep_between(model, delay_s)
     if problem.fastest_over_noise(fit) < SETTINGS.above_noise:
         return
@@ -760,6 +794,18 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         if any(type(effect) is CoupledMode for effect in model.effects):
             yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
                 model, CoupledMode(*mode.parameters().values())), delay_s)
+
+
+def _with_creep(problem: WholeModel, model: StageModel,
+                delay_s: float | None) -> Iterator[Structure]:
+    """Yield a model without creep with pairs over all times that a recording shows."""
+    if not model.creep.poles_rad_per_s and problem.longest_s > 0.0:
+        rates_rad_per_s = (
+            SETTINGS.faster_creep ** np.arange(SETTINGS.first_pairs) / problem.longest_s)
+        yield Structure("with creep", replace(model, creep=CreepDynamics(
+            tuple(rates_rad_per_s.tolist()),
+            tuple((rates_rad_per_s * (1.0 + SETTINGS.first_creep)).tolist()))), delay_s,
+            is_far=True)
 
 
 def _with_creep_between(model: StageModel, delay_s: float | None) -> Iterator[Structure]:

@@ -12,7 +12,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.conditioning.row_alignment import with_straight_voltage
-from piezo_identification.conditioning.settling import rings_unresolved, slow_dynamics
+from piezo_identification.conditioning.settling import slow_dynamics, unresolved_ringing
 from piezo_identification.fitting.bouc_wen_start import with_bouc_wen
 from piezo_identification.fitting.dataset import dataset_of
 from piezo_identification.fitting.evidence import independent_errors, log_evidence
@@ -200,6 +200,9 @@ class WholeModel:
         if has_free_gains:
             widest = max(simulated, key=lambda part: float(np.ptp(part.voltage_v)))
             simulated = [part if part is widest else part.with_free_gain() for part in simulated]
+        slow = slow_dynamics(model.dynamics, model.effects)
+        simulated = [part.with_free_ringing(unresolved_ringing(
+            slow, part.voltage_v, part.sample_period_s)) for part in simulated]
         self.responses = tuple(responses)
         self.sample_period_s = min(
             *(part.sample_period_s for part in simulated),
@@ -215,9 +218,7 @@ class WholeModel:
             extent.sample_period_s,
             *(np.pi / each.highest_mode_rad_per_s for each in self.responses)])))
         self.noise = estimate_noise(self._dataset, model.effects)
-        slow = slow_dynamics(model.dynamics, model.effects)
-        good = ~self._dataset.at_rows(self.noise.outliers) & ~self._dataset.at_rows([
-            rings_unresolved(slow, part.voltage_v, part.sample_period_s) for part in simulated])
+        good = ~self._dataset.at_rows(self.noise.outliers)
         self._fitted, self._good = self._dataset.for_estimation & good, good
         # Shared with all fits, and with copies of the problem that have another hysteresis.
         self._counts = np.zeros(len(simulated) + len(responses))
@@ -258,8 +259,7 @@ class WholeModel:
         found = after(given_v)
         if given_v is None and found.past_v != before.past_v:
             found = min(found, after(before.past_v), key=lambda part: part.error_um(rows))
-        found = found.with_free_gain() if before.has_free_gain else found
-        return found.with_model(replace(model, effects=()))
+        return found.with_nuisance_of(before).with_model(replace(model, effects=()))
 
     def read_with_voltage(self, index: int) -> "WholeModel":
         """Return the problem with a recording whose rows are read with their voltage."""
@@ -277,7 +277,7 @@ class WholeModel:
         before = simulated[index]
         recordings[index] = with_straight_voltage(recordings[index])
         changed = simulated_recording(before.model, recordings[index], before.past_v)
-        simulated[index] = changed.with_free_gain() if before.has_free_gain else changed
+        simulated[index] = changed.with_nuisance_of(before)
         problem._dataset = replace(
             self._dataset, simulated=tuple(simulated), recordings=tuple(recordings))
         return problem
@@ -376,6 +376,11 @@ class WholeModel:
         """Return why no stage can have all effects of a fit; see `Effect.impossible`."""
         reasons = (effect.impossible(self._dataset.extent) for effect in fit.model.effects)
         return next(filter(None, reasons), None)
+
+    @property
+    def longest_s(self) -> float:
+        """Return the duration of the longest recording; 0 for responses alone."""
+        return max((float(part.time_s[-1]) for part in self._dataset.simulated), default=0.0)
 
     def over_noise(self, fit: WholeFit) -> FloatArray:
         """Return the residual of each recording and response over its noise and accuracy, (R,)."""

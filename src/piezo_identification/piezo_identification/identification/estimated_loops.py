@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Hysteresis estimated from all of its recordings, of stages that were cycled before or not."""
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -214,21 +214,42 @@ def new_loops(
     after the voltage; the voltages of those in `straight` are straight between their rows, not
     held. `near` is an estimate from the same recordings with nearly the same creep and dynamics.
     """
-    loops = of_kind(with_straight_voltages(recordings, straight), "hysteresis")
+    given = with_straight_voltages(recordings, straight)
     simulated = [
         simulated_recording(model, each, read_late_s=read_late_s[name])
-        for name, each in zip(keys_of_kind(recordings, "hysteresis"), loops, strict=True)]
-    return density_of_parts([each.part for each in simulated], list(map(_loops_again, simulated)),
-                            near=near, **options.keywords())
+        for kind in ("hysteresis", "dynamics")
+        for name, each in zip(keys_of_kind(recordings, kind), of_kind(given, kind), strict=True)
+        if isinstance(each, Recording)]
+    return density_of_parts([each.part for each in simulated], _weighed(
+        list(map(_loops_again, simulated))), near=near, **options.keywords())
 
 
-def _loops_again(simulated: SimulatedRecording) -> HysteresisSegment:
-    """Return the input of the model's hysteresis, and the output that the residual asks for."""
+def _weighed(segments: Sequence[tuple[HysteresisSegment, float]]) -> list[HysteresisSegment]:
+    """Give each recording the weight that it has in the fit of the whole model.
+
+    Each segment comes with the mean square error of its recording, in um^2.
+    """
+    rows = np.array([segment.samples.size for segment, _ in segments])
+    of_row = 1.0 / (rows * [square_um2 for _, square_um2 in segments])
+    of_row *= rows.sum() / (rows @ of_row)
+    return [replace(segment, weight=float(weight))
+            for (segment, _), weight in zip(segments, of_row, strict=True)]
+
+
+def _loops_again(simulated: SimulatedRecording) -> tuple[HysteresisSegment, float]:
+    """Return the input of the model's hysteresis, and the output that the residual asks for.
+
+    The mean square of what the residual asks for follows, in um^2.
+    """
     residual_um = simulated.measured_um - simulated.simulate()
     count = residual_um.size + samples_added(residual_um.size)
     lines = np.asarray(np.fft.rfftfreq(count), dtype=float)
     missing_um = input_of(residual_um, simulated.linear_response(lines))
     entering_v, output_um = simulated.loops()
-    return HysteresisSegment(
+    segment = HysteresisSegment(
         entering_v, output_um + missing_um, simulated.good,
         np.exp(-np.outer(simulated.time_s, simulated.model.creep.zeros_rad_per_s)))
+    others = np.column_stack([np.ones(missing_um.size), segment.transients])[simulated.good]
+    asked_um = missing_um[simulated.good]
+    asked_um = asked_um - others @ np.linalg.lstsq(others, asked_um, rcond=None)[0]
+    return segment, float(np.mean(asked_um**2))

@@ -24,11 +24,13 @@ from piezo_identification.fitting.structure_search import (
     SETTINGS,
     Structure,
     begun,
+    best_of,
     fitted_with_bouc_wen,
     has_amplifier,
     is_at_noise,
     is_better,
     is_promising,
+    promising,
     searched,
 )
 from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR, WholeFit, WholeModel
@@ -57,6 +59,9 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
+TURNS = 4
+"""Largest number of times that the loops are estimated again with each start."""
+
 SLOWER = 1.5
 """Sample period, relative to that of the fastest data, from which a voltage may be straight between
 the rows. Of the fastest data, modes and lags explain that as well; see `between_rows`."""
@@ -77,6 +82,8 @@ class _State:
     """Time by which each recording reads its rows after the voltage, without a negative delay."""
     straight: frozenset[str] = frozenset()
     """Recordings whose voltage is straight between their rows, not held."""
+    gain: float = 0.0
+    """Evidence that the last estimate of the loops added."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,17 +117,20 @@ class _Search:
             return self.problem.with_hysteresis(
                 replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
 
-        promising, tried = begun(
+        found, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
             with_new_loops if self.new_loops is not None else None)
         self.tried.extend(tried)
-        length = (1.0 - BEGUN) / len(promising)
         states = [_State(self.given if problem is self.problem else replace(
             self.given, visited=renewed[0].visited), fit, problem, self.read_late_s)
-            for problem, fit in promising]
-        if rival is not None and not is_promising(states[0].best, rival):
-            return states[0]
-        first = self._read_otherwise(self._with_renewed_loops(states[0], BEGUN), BEGUN)
+            for problem, fit in found]
+        if rival is not None and not is_promising(_best_of(states).best, rival):
+            return _best_of(states)
+        raced = self._with_loops_in_turns(states)
+        states = [next(state for state in raced if state.best is fit)
+                  for fit in promising([state.best for state in raced])]
+        length = (1.0 - BEGUN) / len(states)
+        first = self._read_otherwise(states[0], BEGUN)
         drifting = self._with_bouc_wen(first, BEGUN)
         # A search behind loops of the wrong kind would describe them by dynamics.
         is_drifting = is_better(drifting.best, first.best)
@@ -129,11 +139,32 @@ class _Search:
             if is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
                 return drifting
         state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
-        if not is_drifting:
+        if not is_drifting and drifting.best.evidence_over(
+                first.best) > -SETTINGS.promise_before_pasts:
             drifting = self._with_bouc_wen(state, 1.0)
             if drifting is not state and is_promising(drifting.best, state.best):
                 drifting = self._searched(drifting, 1.0, 0.0)
         return _better(drifting, state)
+
+    def _with_loops_in_turns(self, states: Sequence[_State]) -> list[_State]:
+        """Estimate the loops again with each start until one is ahead; return all starts.
+
+        The loops were estimated with other creep and dynamics than those of most starts, so that
+        their evidence does not show yet which of them is the best one.
+        """
+        racing, resting = list(states), list[_State]()
+        promise = SETTINGS.promise_before_loops
+        for _ in range(TURNS):
+            best = _best_of([*racing, *resting])
+            further = list[_State]()
+            for state in racing:
+                # Each estimate adds less than the one before.
+                may_lead = -state.best.evidence_over(best.best) <= max(promise, state.gain)
+                again = self._with_renewed_loops(state, BEGUN) if may_lead else state
+                gain = again.best.evidence_over(state.best)
+                (further if gain > DECISIVE else resting).append(replace(again, gain=gain))
+            racing, promise = further, 0.0
+        return [*racing, *resting]
 
     def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
         """Search from the first start, and from others that may become better than its result.
@@ -151,7 +182,7 @@ class _Search:
                           else is_better(start.best, state.best))
                 if is_new and not is_at_noise(state.problem, state.best):
                     begin = BEGUN + number * length
-                    other = self._from(self._with_renewed_loops(start, begin), begin, length)
+                    other = self._from(start, begin, length)
                     state = _better(other, state)
         if search.was_cut:
             for start in others:
@@ -228,7 +259,7 @@ class _Search:
         for index, name in enumerate(self.names):
             with while_time_lasts("rows that are read at another time"):
                 for change, other in self._readings(state, index, name):
-                    if is_at_noise(state.problem, state.best):
+                    if state.problem.over_noise(state.best)[index] < SETTINGS.above_noise:
                         break
                     read = self._refitted(other, change, fraction)
                     if read.best.rms_um[index] < state.best.rms_um[index]:
@@ -331,6 +362,11 @@ class FittedTogether:
 
 def _better(other: _State, state: _State) -> _State:
     return other if is_better(other.best, state.best) else state
+
+
+def _best_of(states: Sequence[_State]) -> _State:
+    best = best_of([state.best for state in states])
+    return next(state for state in states if state.best is best)
 
 
 def fitted_together(

@@ -82,6 +82,8 @@ class SimulatedRecording:
         `read_at`, and for means.
     has_free_gain : bool
         Whether the gain is a nuisance: no unless given by `with_free_gain`.
+    ringing : (N, k) array or None
+        Ringing whose amplitude and phase are a nuisance: none unless given by `with_free_ringing`.
     part : Recording
         The samples in which the waveform is played.
     time_s, voltage_v, measured_um : (N,) array
@@ -100,6 +102,7 @@ class SimulatedRecording:
     highest_v: float = CYCLED
     read_late_s: float = 0.0
     has_free_gain: bool = False
+    ringing: FloatArray | None = None
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
         self.part = part = played(recording)
@@ -185,6 +188,17 @@ class SimulatedRecording:
         other.has_free_gain = True
         return other
 
+    def with_free_ringing(self, ringing: FloatArray | None) -> Self:
+        """Return the same recording, in which the sizes of some signals, (N, k), are unknown."""
+        other = copy(self)
+        other.ringing = ringing
+        return other
+
+    def with_nuisance_of(self, other: "SimulatedRecording") -> Self:
+        """Return the same recording with the free gain and the free ringing of another."""
+        found = self.with_free_ringing(other.ringing)
+        return found.with_free_gain() if other.has_free_gain else found
+
     def simulate(self, effects: Sequence[Effect] = (), quick: Sequence[Effect] = (),
                  rows: NDArray[np.intp] | None = None) -> FloatArray:
         """Return the displacement simulated by the model with further effects, (N,) or (n,).
@@ -249,8 +263,10 @@ class SimulatedRecording:
 
     def nuisance_regressors(self, rows: NDArray[np.intp],
                             effects: Sequence[Effect] = ()) -> FloatArray:
-        """Return the regressors of offset, initial creep and a free gain at samples, (n, k)."""
+        """Return the regressors of offset, initial creep, ringing and gain at samples, (n, k)."""
         columns = offset_and_decays(self.model, self.time_s[rows])
+        if self.ringing is not None:
+            columns = np.column_stack([columns, self.ringing[rows]])
         if self.has_free_gain:
             columns = np.column_stack([columns, self.simulate(effects, rows=rows)])
         return columns

@@ -12,6 +12,7 @@ from piezo_identification.conditioning.settling import (
     settling_time_s,
     slow_delay_s,
     slow_dynamics,
+    unresolved_ringing,
 )
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
@@ -147,3 +148,25 @@ def test_rows_that_cannot_resolve_the_ringing_after_a_jump_are_marked(dynamics, 
 
 def test_a_smooth_voltage_marks_no_rows():
     assert not rings_unresolved(RINGING, np.linspace(0.0, 90.0, 1000), 0.02).any()
+
+
+@pytest.mark.parametrize("dynamics", [RINGING, PARALLEL])
+def test_ringing_of_any_amplitude_and_phase_is_a_sum_of_the_signals(dynamics):
+    period_s, voltage_v = 0.02, np.repeat([0.0, 80.0, 30.0], 500)
+    pole = 1948.0 * (-0.015 + 1j * np.sqrt(1.0 - 0.015**2))
+    time_s = period_s * np.arange(voltage_v.size)
+    rings = sum((time_s > period_s * jump) * jumped_v * np.real(
+        (0.3 - 0.8j) * np.exp(pole * (time_s - period_s * jump)))
+        for jump, jumped_v in ((500, 80.0), (1000, -50.0)))
+    signals = unresolved_ringing(dynamics, voltage_v, period_s)
+    assert signals.shape == (1500, 2)
+    sizes = np.linalg.lstsq(signals, rings, rcond=None)[0]
+    np.testing.assert_allclose(signals @ sizes, rings, atol=1e-9)
+
+
+@pytest.mark.parametrize("dynamics, period_s, voltage_v", [
+    (RINGING, 1e-4, np.repeat([0.0, 80.0], 500)), (RINGING, 0.02, np.linspace(0.0, 90.0, 1000)),
+    (ElectricVibrationDynamics(), 0.02, np.repeat([0.0, 80.0], 500))])
+def test_ringing_that_rows_resolve_or_that_is_not_excited_is_not_free(
+        dynamics, period_s, voltage_v):
+    assert unresolved_ringing(dynamics, voltage_v, period_s).shape[1] == 0

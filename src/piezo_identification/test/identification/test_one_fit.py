@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """What the separate steps were wrong about is mended by the one fit."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +12,14 @@ from piezo_identification.estimators.frequency_response.response_model import AN
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.identification import one_fit
 from piezo_identification.identification.linear_dynamics import FittedModel
-from piezo_identification.identification.one_fit import _long_ones, fitted_together, reliable
+from piezo_identification.identification.one_fit import (
+    _best_of,
+    _long_ones,
+    _Search,
+    _State,
+    fitted_together,
+    reliable,
+)
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
 
 
@@ -78,3 +88,47 @@ def test_a_fit_that_would_read_rows_too_late_is_not_written_and_that_is_said(
     assert together.fitted is given
     assert together.read_at == {"hysteresis": 0.0}
     assert len(notes) == 1 and "the model is that of the separate steps" in notes[0]
+
+
+class _Fit(SimpleNamespace):
+    numbers = 1
+
+    def evidence_over(self, other):
+        return self.evidence - other.evidence
+
+    def held_out_over(self, other):
+        return 0.0
+
+
+class _Racing(_Search):
+    """A search in which each estimate of the loops changes the evidence as listed."""
+
+    def __init__(self, *evidence):
+        self.__dict__.update(new_loops=True, made=[], evidence=evidence)
+
+    def _with_renewed_loops(self, before, fraction, width=0.0):
+        self.made.append(before.best.start)
+        left = self.evidence[before.best.start][self.made.count(before.best.start) :]
+        return replace(before, best=_Fit(start=before.best.start, evidence=left[0])
+                       ) if left else before
+
+    def raced(self):
+        return self._with_loops_in_turns([
+            _State(None, _Fit(start=start, evidence=listed[0]), None, {})
+            for start, listed in enumerate(self.evidence)])
+
+
+def test_a_start_behind_may_lead_once_its_loops_were_estimated_again():
+    search = _Racing([6200.0, 7200.0], [4400.0, 7000.0, 8700.0, 9000.0], [1000.0, 9999.0])
+    states = search.raced()
+    assert _best_of(states).best.start == 1
+    assert _best_of(states).best.evidence == 9000.0
+    # The last one is too far behind to be tried.
+    assert search.made.count(2) == 0
+    assert {state.best.start for state in states} == {0, 1, 2}
+
+
+def test_a_start_that_gains_less_than_it_is_behind_gets_no_further_loops():
+    search = _Racing([9000.0, 9500.0, 9510.0], [7000.0, 7100.0, 9999.0])
+    assert _best_of(search.raced()).best.start == 0
+    assert search.made.count(1) == 1

@@ -38,7 +38,7 @@ LEVELS = 70
 FEWEST_LEVELS = 4
 """Fewest levels for which a density is estimated; fewer show only a line."""
 
-MOST_ROWS = 100_000
+MOST_ROWS = 20_000
 """Largest number of samples that a density is fitted to: far more than it has cells."""
 
 STANDING_SHARE = 0.5

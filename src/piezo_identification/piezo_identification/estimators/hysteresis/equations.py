@@ -41,6 +41,8 @@ class HysteresisSegment:
     """Increasing indices of the samples to fit."""
     transients: FloatArray
     """Additional columns of the regression with free coefficients, (N, k)."""
+    weight: float = 1.0
+    """Weight of the squared error of a sample."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,9 @@ class Equations:
         self.border_linear, self.square = np.zeros(others), 0.0
         self.offset_columns = np.zeros(1, dtype=int)
 
-    def add(self, rows: EverettRegression, others: FloatArray, output: FloatArray) -> None:
-        """Add rows of the regression.
+    def add(self, rows: EverettRegression, others: FloatArray, output: FloatArray,
+            weight: float = 1.0) -> None:
+        """Add rows of the regression, with the weight of their squared errors.
 
         The product of what all rows of a branch have in common is formed once.
         """
@@ -94,15 +97,15 @@ class Equations:
         mixed = fixed.T @ (of_branch @ moving)
         lengths = diags_array(of_branch.sum(axis=1))
         self.count += output.size
-        self.quadratic = (self.quadratic + fixed.T @ (lengths @ fixed) + mixed + mixed.T
-                          + moving.T @ moving)
+        self.quadratic = self.quadratic + weight * (
+            fixed.T @ (lengths @ fixed) + mixed + mixed.T + moving.T @ moving)
         targets = np.column_stack([output, others])
-        products = fixed.T @ (of_branch @ targets) + moving.T @ targets
+        products = weight * (fixed.T @ (of_branch @ targets) + moving.T @ targets)
         self.linear += products[:, 0]
         self.border += products[:, 1:]
-        self.corner += others.T @ others
-        self.border_linear += others.T @ output
-        self.square += float(output @ output)
+        self.corner += weight * (others.T @ others)
+        self.border_linear += weight * (others.T @ output)
+        self.square += weight * float(output @ output)
 
     def plus(self, other: "Equations", sign: float = 1.0) -> "Equations":
         """Return the equations of both sets of samples; with sign -1, those without the other's."""
@@ -206,8 +209,8 @@ def equations_of_folds(
             of_block = fold[start : start + ROWS_AT_ONCE]
             for number in np.unique(of_block):
                 part = of_block == number
-                equations[number].add(
-                    rows.select(part), others[part], segment.output_um[block][part])
+                equations[number].add(rows.select(part), others[part],
+                                      segment.output_um[block][part], segment.weight)
         first += width
     return equations
 

@@ -122,6 +122,7 @@ class _PlayRegression:
     def __init__(self, segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> None:
         stride = max(1, sum(segment.samples.size for segment in segments) // MOST_ROWS)
         self._rows, self._ways, outputs, reversible, nuisance = [], [], [], [], []
+        scales = []
         first = 0
         for segment in segments:
             samples = segment.samples[::stride]
@@ -137,19 +138,21 @@ class _PlayRegression:
             nuisance.append(np.column_stack([
                 history[known, None] == np.arange(history.max(initial=0) + 1),
                 segment.transients[samples][known]]))
-            first += int(known.sum())
-        self.count = first
+            scales.append(np.full(int(known.sum()), np.sqrt(segment.weight)))
+            first += scales[-1].size
+        self.count, self._scale = first, np.concatenate(scales)
         self._pairs = np.concatenate(self._ways)
         self._row_of_pair = np.concatenate(self._rows)
-        fixed = block_diag(*nuisance)
+        fixed = self._scale[:, None] * block_diag(*nuisance)
         scale = np.maximum(np.linalg.norm(fixed, axis=0), np.finfo(float).tiny)
         self._nuisance = np.linalg.svd(fixed / scale, full_matrices=False)[0]
         self._output_um = self._without(np.concatenate(outputs))
         self._reversible = np.concatenate(reversible)
 
     def _without(self, columns: FloatArray) -> FloatArray:
-        """Project out the offsets and transients."""
-        return columns - self._nuisance @ (self._nuisance.T @ columns)
+        """Weigh the rows, and project out the offsets and transients."""
+        weighed = (columns.T * self._scale).T
+        return np.asarray(weighed - self._nuisance @ (self._nuisance.T @ weighed))
 
     def weights(self, curves: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return slopes and weights for two curves, and the residual (um).

@@ -37,3 +37,17 @@ def test_equations_of_branches_are_those_of_their_rows(voltage_v, share):
     assert equations.linear == pytest.approx(matrix.T @ output, abs=1e-11 * scale)
     assert equations.border == pytest.approx(matrix.T @ others, abs=1e-11 * scale)
     assert equations.count == output.size
+
+
+def test_a_weight_counts_rows_several_times():
+    levels_v = np.linspace(0.0, 100.0, SIZE + 1)
+    rows = everett_regression(decaying_v(), levels_v)
+    output, others = np.random.default_rng(3).normal(size=(2, SAMPLES))
+    weighed, twice = Equations(SIZE, 1), Equations(SIZE, 1)
+    weighed.add(rows, others[:, None], output, weight=2.0)
+    for _ in range(2):
+        twice.add(rows, others[:, None], output)
+    assert (weighed.count, twice.count) == (SAMPLES, 2 * SAMPLES)
+    for name in "linear", "border", "corner", "border_linear", "square":
+        assert getattr(weighed, name) == pytest.approx(getattr(twice, name))
+    assert abs(weighed.quadratic - twice.quadratic).max() < 1e-9 * abs(twice.quadratic).max()

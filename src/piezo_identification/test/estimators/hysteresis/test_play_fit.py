@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Sums of plays against plays that are followed sample by sample, which share no code with them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,11 @@ def test_small_loops_are_followed_where_most_of_the_gain_turns_within_a_volt():
     unseen_v = loops_v([100.0, 0.0, 100.0, 20.0, *turns_v], 8000)
     error_um = density.model().simulate(unseen_v) - followed_um(unseen_v, 0.02)
     assert np.std(error_um[4000:]) < 0.2 * np.std(noise_um)
+
+
+def test_a_recording_counts_as_much_as_its_weight():
+    voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
+    right = segment(voltage_v, followed_um(voltage_v, 0.05))
+    wrong = replace(segment(voltage_v, 1.3 * followed_um(voltage_v, 0.0)), weight=1e-12)
+    alone, beside = (fit_plays(each, LEVELS_V) for each in ([right], [right, wrong]))
+    assert beside.unknowns(40) == pytest.approx(alone.unknowns(40), abs=1e-3)
