@@ -195,9 +195,9 @@ def fitted_with_bouc_wen(problem: WholeModel,
     tried = list[Tried]()
 
     def with_pasts(form: str, found: WholeModel, fit: WholeFit, rounds: int) -> Begun:
-        gain = SETTINGS.promise_before_pasts
+        promise = SETTINGS.promise_before_pasts
         for left in range(rounds, 0, -1):
-            if is_at_noise(found, fit) or fit.evidence_over(best) < -left * gain:
+            if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
                 break
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
@@ -205,7 +205,7 @@ def fitted_with_bouc_wen(problem: WholeModel,
             gain = closer.evidence_over(fit)
             if not is_better(closer, fit) or gain < DECISIVE:
                 break
-            found, fit = again, closer
+            found, fit, promise = again, closer, left * gain
         return found, fit
 
     fits = dict[str, Begun]()

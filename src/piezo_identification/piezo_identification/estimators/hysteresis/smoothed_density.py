@@ -289,11 +289,13 @@ def _rounded_um(plays: PlaySum, size: int) -> float:
 
 def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum,
                parts: int) -> FloatArray:
-    """Return the output of plays at all samples of a segment, represented in divided cells."""
+    """Return the output of plays, (N,), represented in divided cells; 0 at samples not fitted."""
     size = parts * (levels_v.size - 1)
     finer_v = np.linspace(levels_v[0], levels_v[-1], size + 1)
-    regression = everett_regression(segment.voltage_v, finer_v)
-    return np.asarray(regression.matrix @ plays.unknowns(size))
+    regression = everett_regression(segment.voltage_v, finer_v, segment.samples)
+    output_um = np.zeros(segment.voltage_v.size)
+    output_um[segment.samples] = regression.matrix @ plays.unknowns(size)
+    return output_um
 
 
 def _on_finer_grids(

@@ -9,7 +9,10 @@ import pytest
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
 from piezo_identification.estimators.hysteresis.play_fit import _PlayRegression, fit_plays
-from piezo_identification.estimators.hysteresis.smoothed_density import density_of_segments
+from piezo_identification.estimators.hysteresis.smoothed_density import (
+    _output_um,
+    density_of_segments,
+)
 
 LEVELS_V = np.linspace(0.0, 100.0, 201)
 HALF_WIDTHS_V, WEIGHTS = np.array([0.0, 2.0, 5.0, 9.0]), np.array([0.08, 0.03, 0.02, 0.01])
@@ -128,3 +131,13 @@ def test_a_recording_counts_as_much_as_its_weight():
     wrong = replace(segment(voltage_v, 1.3 * followed_um(voltage_v, 0.0)), weight=1e-12)
     alone, beside = (fit_plays(each, LEVELS_V) for each in ([right], [right, wrong]))
     assert beside.unknowns(40) == pytest.approx(alone.unknowns(40), abs=1e-3)
+
+
+def test_the_output_of_plays_at_some_samples_is_that_at_all_of_them():
+    voltage_v = loops_v([0.0, 100.0, 30.0, 62.0, 41.0, 90.0, 10.0])
+    whole = segment(voltage_v, followed_um(voltage_v, 0.0))
+    few = replace(whole, samples=whole.samples[5::7])
+    plays = fit_plays([whole], LEVELS_V)
+    at_few, at_all = (_output_um(each, LEVELS_V, plays, 2) for each in (few, whole))
+    np.testing.assert_allclose(at_few[few.samples], at_all[few.samples])
+    assert not np.delete(at_few, few.samples).any()
