@@ -329,6 +329,10 @@ class JointErrors:
         self.dataset = simulated_by(
             self.dataset, self.dataset.model, self.new_count, self.later)
 
+    def forget_pieces(self) -> None:
+        """Drop what is shared with other fits of the hysteresis; it is recomputed when needed."""
+        self._pieces_um = self._of_pieces_um = None
+
     def _weighted(self, vector: FloatArray,
                   columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         point = self._at(vector)

@@ -234,8 +234,7 @@ class WholeModel:
         past that the model finds, or keeps its own if that is closer.
         """
         problem = copy(self)
-        vars(problem).pop("_pieces_um", None)
-        problem.about_here()
+        problem.forget_pieces()
         problem.given = replace(self.given, hysteresis=model.hysteresis)
         problem._hysteresis_width = width
         problem._dataset = replace(
@@ -331,6 +330,11 @@ class WholeModel:
         Fits of similar models share this result.
         """
         self._of_pieces_um: dict[tuple[Effect, ...], dict[int, FloatArray]] = {}
+
+    def forget_pieces(self) -> None:
+        """Drop the outputs of the pieces of the hysteresis, many times as large as the rows."""
+        vars(self).pop("_pieces_um", None)
+        self.about_here()
 
     def fit(self, model: StageModel, delay_s: float | None, steps: int,
             density_changes: FloatArray | None = None) -> WholeFit:

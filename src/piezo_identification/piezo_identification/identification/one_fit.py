@@ -161,6 +161,8 @@ class _Search:
                 # Each estimate adds less than the one before.
                 may_lead = -state.best.evidence_over(best.best) <= max(promise, state.gain)
                 again = self._with_renewed_loops(state, BEGUN) if may_lead else state
+                again.problem.forget_pieces()
+                again.best.errors.forget_pieces()
                 gain = again.best.evidence_over(state.best)
                 (further if gain > DECISIVE else resting).append(replace(again, gain=gain))
             racing, promise = further, 0.0
@@ -332,8 +334,10 @@ class _Search:
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
             self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
+                before.best.errors.forget_pieces()
                 return replace(before, fitted=replace(before.fitted, visited=density.visited),
                                best=again, problem=problem)
+            again.errors.forget_pieces()
         return before
 
     def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],

@@ -90,8 +90,11 @@ def test_a_fit_that_would_read_rows_too_late_is_not_written_and_that_is_said(
     assert len(notes) == 1 and "the model is that of the separate steps" in notes[0]
 
 
+WITH_PIECES = SimpleNamespace(forget_pieces=lambda: None)
+
+
 class _Fit(SimpleNamespace):
-    numbers = 1
+    numbers, errors = 1, WITH_PIECES
 
     def evidence_over(self, other):
         return self.evidence - other.evidence
@@ -114,7 +117,7 @@ class _Racing(_Search):
 
     def raced(self):
         return self._with_loops_in_turns([
-            _State(None, _Fit(start=start, evidence=listed[0]), None, {})
+            _State(None, _Fit(start=start, evidence=listed[0]), WITH_PIECES, {})
             for start, listed in enumerate(self.evidence)])
 
 
