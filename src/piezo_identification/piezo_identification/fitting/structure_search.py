@@ -196,7 +196,7 @@ def fitted_with_bouc_wen(problem: WholeModel,
 
     def with_pasts(form: str, found: WholeModel, fit: WholeFit, rounds: int) -> Begun:
         promise = SETTINGS.promise_before_pasts
-        for left in range(rounds, 0, -1):
+        for _ in range(rounds):
             if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
                 break
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
@@ -205,7 +205,7 @@ def fitted_with_bouc_wen(problem: WholeModel,
             gain = closer.evidence_over(fit)
             if not is_better(closer, fit) or gain < DECISIVE:
                 break
-            found, fit, promise = again, closer, left * gain
+            found, fit, promise = again, closer, gain  # each adds less than the one before
         return found, fit
 
     fits = dict[str, Begun]()

@@ -12,15 +12,18 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import FloatArray
 from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, parameter
 
-FARTHEST = 20.0
-"""Motion, relative to the relaxation voltage, after which what is taken has saturated."""
-
 STEEPEST = 0.95
 """Largest slope of what is taken from the voltage: the displacement then follows every voltage."""
 
 
-STEP = 1.0 / 16.0
-"""Longest step of the numerical solution, relative to the relaxation voltage."""
+STEP = 1.0 / 64.0
+"""Step of the numerical solution, relative to the relaxation voltage."""
+
+BISECTIONS = 40
+"""Number of bisections of a step to find where a motion begins."""
+
+SATURATED = 1e-12
+"""Distance from saturation at which the numerical solution ends."""
 
 
 @njit(cache=True, nogil=True)
@@ -44,17 +47,53 @@ def _slope(ahead: float, unloading: float, exponent: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _stepwise(ahead: float, left: float, unloading: float, exponent: float) -> float:
-    """Return what is taken ahead of a motion after its rest, by the Runge-Kutta rule."""
-    steps = math.ceil(left / STEP)
-    step = left / max(steps, 1)
-    for _ in range(steps):
+def _solution(unloading: float, exponent: float) -> FloatArray:
+    """Return what is taken after each step of a motion from saturation, by the Runge-Kutta rule.
+
+    As the equation contains no voltage, every other motion is a part of this one.
+    """
+    taken = [-1.0]
+    while 1.0 - taken[-1] > SATURATED:
+        ahead = taken[-1]
         first = _slope(ahead, unloading, exponent)
-        second = _slope(ahead + 0.5 * step * first, unloading, exponent)
-        third = _slope(ahead + 0.5 * step * second, unloading, exponent)
-        fourth = _slope(ahead + step * third, unloading, exponent)
-        ahead += step / 6.0 * (first + 2.0 * (second + third) + fourth)
-    return ahead
+        second = _slope(ahead + 0.5 * STEP * first, unloading, exponent)
+        third = _slope(ahead + 0.5 * STEP * second, unloading, exponent)
+        fourth = _slope(ahead + STEP * third, unloading, exponent)
+        taken.append(min(ahead + STEP / 6.0 * (first + 2.0 * (second + third) + fourth), 1.0))
+    return np.array(taken)
+
+
+@njit(cache=True, nogil=True)
+def _between(solution: FloatArray, place: int, part: float, unloading: float,
+             exponent: float) -> float:
+    """Return the solution at a part of a step, by a cubic with its values and slopes."""
+    begin, end = solution[place], solution[place + 1]
+    rising = STEP * _slope(begin, unloading, exponent) - (end - begin)
+    falling = end - begin - STEP * _slope(end, unloading, exponent)
+    left = 1.0 - part
+    return begin * left + end * part + part * left * (rising * left + falling * part)
+
+
+@njit(cache=True, nogil=True)
+def _along(solution: FloatArray, ahead: float, left: float, unloading: float,
+           exponent: float) -> float:
+    """Return what is taken ahead of a motion after its rest, for any exponent."""
+    last = solution.size - 1
+    if left == 0.0 or ahead >= solution[last]:
+        return ahead
+    place = max(int(np.searchsorted(solution, ahead, side="right")) - 1, 0)
+    low, high = 0.0, 1.0
+    for _ in range(BISECTIONS):
+        part = 0.5 * (low + high)
+        if _between(solution, place, part, unloading, exponent) < ahead:
+            low = part
+        else:
+            high = part
+    way = place + 0.5 * (low + high) + left / STEP
+    if way >= last:
+        return float(solution[last])
+    place = int(way)
+    return _between(solution, place, way - place, unloading, exponent)
 
 
 @njit(cache=True, nogil=True)
@@ -62,13 +101,14 @@ def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: f
            relaxation_v: float, unloading: float, exponent: float) -> FloatArray:
     """Return what is taken from a voltage, (N,), however far samples are apart."""
     taken = np.empty(voltage_v.size)
+    solution = _solution(unloading, exponent) if exponent != 1.0 else np.empty(0)
     for n in range(voltage_v.size):
         move_v = voltage_v[n] - last_v
         last_v = voltage_v[n]
         direction = math.copysign(1.0, move_v)
         left, ahead = abs(move_v) / relaxation_v, direction * taken_v / saturation_v
         ahead = (_exactly(ahead, left, unloading) if exponent == 1.0
-                 else _stepwise(ahead, min(left, FARTHEST), unloading, exponent))
+                 else _along(solution, ahead, left, unloading, exponent))
         taken_v = direction * ahead * saturation_v
         taken[n] = taken_v
     return taken

@@ -19,7 +19,7 @@ def turns(seed=0, count=8):
 
 @pytest.mark.parametrize(("unloading", "exponent", "within_v"), [
     (0.0, 1.0, 1e-7), (0.4, 1.0, 1e-7), (1.0, 1.0, 1e-7), (3.0, 1.0, 1e-7),
-    (0.4, 2.0, 1e-5), (1.0, 1.6, 1e-4), (3.0, 0.7, 1e-3)])
+    (0.4, 2.0, 1e-7), (1.0, 1.6, 1e-6), (3.0, 0.7, 1e-4)])
 def test_it_is_the_solution_of_the_equation_of_bouc_and_wen(unloading, exponent, within_v):
     effect = BoucWenHysteresis(1.5, 8.0, unloading, exponent)
     slope = effect.saturation_v / effect.relaxation_v
@@ -41,7 +41,7 @@ def test_samples_on_the_way_do_not_matter(exponent):
     fine_v = np.concatenate([np.linspace(*ends, 50) for ends in zip(
         levels_v[:-1], levels_v[1:], strict=True)])
     assert effect.apply(fine_v, PERIOD_S)[49::50] == pytest.approx(
-        effect.apply(levels_v, PERIOD_S)[1:], rel=1e-9, abs=1e-4 * (exponent != 1.0))
+        effect.apply(levels_v, PERIOD_S)[1:], rel=1e-9, abs=1e-7 * (exponent != 1.0))
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.7])
