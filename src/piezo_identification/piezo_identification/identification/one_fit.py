@@ -147,26 +147,41 @@ class _Search:
         return _better(drifting, state)
 
     def _with_loops_in_turns(self, states: Sequence[_State]) -> list[_State]:
-        """Estimate the loops again with each start until one is ahead; return all starts.
+        """Estimate the loops again with each start until one is ahead; return all of these starts.
 
         The loops were estimated with other creep and dynamics than those of most starts, so that
-        their evidence does not show yet which of them is the best one.
+        their evidence does not show yet which of them is the best one. If the best one then leaves
+        hardly more than the noise, it has only one rival, with another amplifier.
         """
-        racing, resting = list(states), list[_State]()
-        promise = SETTINGS.promise_before_loops
-        for _ in range(TURNS):
-            best = _best_of([*racing, *resting])
-            further = list[_State]()
+        begun_best = _best_of(states)
+        others = [state for state in states if state is not begun_best]
+        first = self._with_loops_again(begun_best)
+        if is_at_noise(first.problem, first.best, SETTINGS.wrong):
+            rivals = [state for state in others
+                      if has_amplifier(state.best) != has_amplifier(first.best)]
+            others = [_best_of(rivals)] if rivals else []
+        racing, resting = [first, *(
+            self._with_loops_again(state)
+            if state.best.evidence_over(first.best) > -SETTINGS.promise_before_loops else state
+            for state in others)], list[_State]()
+        for _ in range(TURNS - 1):
+            best, further = _best_of([*racing, *resting]), list[_State]()
             for state in racing:
                 # Each estimate adds less than the one before.
-                may_lead = -state.best.evidence_over(best.best) <= max(promise, state.gain)
-                again = self._with_renewed_loops(state, BEGUN) if may_lead else state
-                again.problem.forget_pieces()
-                again.best.errors.forget_pieces()
-                gain = again.best.evidence_over(state.best)
-                (further if gain > DECISIVE else resting).append(replace(again, gain=gain))
-            racing, promise = further, 0.0
+                if state.gain > max(DECISIVE, best.best.evidence_over(state.best)):
+                    further.append(self._with_loops_again(state))
+                else:
+                    resting.append(state)
+            racing = further
         return [*racing, *resting]
+
+    def _with_loops_again(self, state: _State) -> _State:
+        """Return a state with its loops estimated again, and how much evidence that added."""
+        again = self._with_renewed_loops(state, BEGUN)
+        # Few of the starts are continued.
+        again.problem.forget_pieces()
+        again.best.errors.forget_pieces()
+        return replace(again, gain=again.best.evidence_over(state.best))
 
     def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
         """Search from the first start, and from others that may become better than its result.

@@ -90,11 +90,12 @@ def test_a_fit_that_would_read_rows_too_late_is_not_written_and_that_is_said(
     assert len(notes) == 1 and "the model is that of the separate steps" in notes[0]
 
 
-WITH_PIECES = SimpleNamespace(forget_pieces=lambda: None)
+WITH_PIECES = SimpleNamespace(
+    forget_pieces=lambda: None, over_noise=lambda fit: np.array([fit.over_noise]))
 
 
 class _Fit(SimpleNamespace):
-    numbers, errors = 1, WITH_PIECES
+    numbers, errors, over_noise = 1, WITH_PIECES, 10.0
 
     def evidence_over(self, other):
         return self.evidence - other.evidence
@@ -129,6 +130,13 @@ def test_a_start_behind_may_lead_once_its_loops_were_estimated_again():
     # The last one is too far behind to be tried.
     assert search.made.count(2) == 0
     assert {state.best.start for state in states} == {0, 1, 2}
+
+
+def test_a_start_near_the_noise_has_no_rival_with_the_same_amplifier(monkeypatch):
+    monkeypatch.setattr(_Fit, "over_noise", 2.0)
+    monkeypatch.setattr(one_fit, "has_amplifier", lambda fit: fit.start == 2)
+    search = _Racing([6200.0, 7200.0], [6100.0, 9999.0], [5000.0, 7500.0])
+    assert {state.best.start for state in search.raced()} == {0, 2}
 
 
 def test_a_start_that_gains_less_than_it_is_behind_gets_no_further_loops():
