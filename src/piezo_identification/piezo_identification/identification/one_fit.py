@@ -59,6 +59,10 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
+ALIKE = 2
+"""Number of further starts with which the loops are estimated again besides one with another
+amplifier."""
+
 TURNS = 4
 """Largest number of times that the loops are estimated again with each start."""
 
@@ -150,20 +154,22 @@ class _Search:
         """Estimate the loops again with each start until one is ahead; return all of these starts.
 
         The loops were estimated with other creep and dynamics than those of most starts, so that
-        their evidence does not show yet which of them is the best one. If the best one then leaves
-        hardly more than the noise, it has only one rival, with another amplifier.
+        their evidence does not show yet which of them is the best one. Its rivals are the best one
+        with another amplifier, and others unless it then leaves hardly more than the noise.
         """
-        begun_best = _best_of(states)
-        others = [state for state in states if state is not begun_best]
-        first = self._with_loops_again(begun_best)
+        first, *others = sorted(
+            states, key=lambda state: -state.best.evidence_over(states[0].best))
+        first = self._with_loops_again(first)
+        alike, unlike = (
+            [state for state in others
+             if (has_amplifier(state.best) == has_amplifier(first.best)) == is_alike]
+            for is_alike in (True, False))
         if is_at_noise(first.problem, first.best, SETTINGS.wrong):
-            rivals = [state for state in others
-                      if has_amplifier(state.best) != has_amplifier(first.best)]
-            others = [_best_of(rivals)] if rivals else []
+            alike = []
         racing, resting = [first, *(
             self._with_loops_again(state)
             if state.best.evidence_over(first.best) > -SETTINGS.promise_before_loops else state
-            for state in others)], list[_State]()
+            for state in (*unlike[:1], *alike[:ALIKE]))], list[_State]()
         for _ in range(TURNS - 1):
             best, further = _best_of([*racing, *resting]), list[_State]()
             for state in racing:

@@ -96,6 +96,7 @@ WITH_PIECES = SimpleNamespace(
 
 class _Fit(SimpleNamespace):
     numbers, errors, over_noise = 1, WITH_PIECES, 10.0
+    model = SimpleNamespace(effects=())
 
     def evidence_over(self, other):
         return self.evidence - other.evidence
