@@ -194,9 +194,9 @@ def fitted_with_bouc_wen(problem: WholeModel,
     """
     tried = list[Tried]()
 
-    def with_pasts(form: str, found: WholeModel, fit: WholeFit, rounds: int) -> Begun:
+    def with_pasts(form: str, found: WholeModel, fit: WholeFit) -> Begun:
         promise = SETTINGS.promise_before_pasts
-        for _ in range(rounds):
+        for _ in range(SETTINGS.rounds):
             if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
                 break
             again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
@@ -208,21 +208,20 @@ def fitted_with_bouc_wen(problem: WholeModel,
             found, fit, promise = again, closer, gain  # each adds less than the one before
         return found, fit
 
-    fits = dict[str, Begun]()
+    fits = list[Begun]()
     for model, what in _with_fewer_modes(problem, best.model):
         with_line, start = problem.with_bouc_wen(model)
         for curve in ("", ", a curve"):
-            if any(is_at_noise(*each) for each in fits.values()):
+            if any(is_at_noise(*each) for each in fits):
                 continue
             where, form = with_line.with_curve(start) if curve else with_line, (
                 f"{BOUC_WEN}{curve}{what}")
             fit = _raced(where, Structure(form, start, best.delay_s), best, SETTINGS.steps,
                          promise=SETTINGS.promise_before_pasts)
             tried.append((form, fit))
-            fits[form] = with_pasts(form, where, fit, 1)
-    leader = best_of([fit for _, fit in fits.values()])
-    form = next(form for form, (_, fit) in fits.items() if fit is leader)
-    return *with_pasts(form, *fits[form], SETTINGS.rounds), tried
+            fits.append(with_pasts(form, where, fit))
+    leader = best_of([fit for _, fit in fits])
+    return next(where for where, fit in fits if fit is leader), leader, tried
 
 
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
