@@ -345,8 +345,7 @@ class Client:
 
         The request is sent again if no response comes and a repetition does no harm: a request with
         a number acts once for its number, and a transition of a lifecycle node leads from one state
-        only. Raises `ServiceFailed` if there is no server, or its node
-        ends before it responds.
+        only. Raises `ServiceFailed` if there is no server, or its node ends before it responds.
         """
         with self._signals.hold():
             # A server may respond to a new client before discovery is complete: the response is

@@ -214,8 +214,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
         for curve in ("", ", a curve"):
             if any(is_at_noise(*each) for each in fits):
                 continue
-            where, form = with_line.with_curve(start) if curve else with_line, (
-                f"{BOUC_WEN}{curve}{what}")
+            where = with_line.with_curve(start) if curve else with_line
+            form = f"{BOUC_WEN}{curve}{what}"
             fit = _raced(where, Structure(form, start, best.delay_s), best, SETTINGS.steps,
                          promise=SETTINGS.promise_before_pasts)
             tried.append((form, fit))

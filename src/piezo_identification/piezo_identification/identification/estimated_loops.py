@@ -26,6 +26,7 @@ from piezo_identification.estimators.hysteresis.first_rise_fit import (
     highest_before,
     without_first_rise,
 )
+from piezo_identification.fitting.regression import SETTINGS as FIT
 from piezo_identification.identification.given_data import (
     Data,
     keys_of_kind,
@@ -227,7 +228,7 @@ def new_loops(
 def _weighed(segments: Sequence[tuple[HysteresisSegment, float]]) -> list[HysteresisSegment]:
     """Give each recording the weight that it has in the fit of the whole model.
 
-    Each segment comes with the mean square error of its recording, in um^2.
+    Each segment comes with the mean square error of its recording, in um^2, not 0.
     """
     rows = np.array([segment.samples.size for segment, _ in segments])
     of_row = 1.0 / (rows * [square_um2 for _, square_um2 in segments])
@@ -239,7 +240,7 @@ def _weighed(segments: Sequence[tuple[HysteresisSegment, float]]) -> list[Hyster
 def _loops_again(simulated: SimulatedRecording) -> tuple[HysteresisSegment, float]:
     """Return the input of the model's hysteresis, and the output that the residual asks for.
 
-    The mean square of what the residual asks for follows, in um^2.
+    The mean square of what the residual asks for follows, in um^2, at least that of a good model.
     """
     residual_um = simulated.measured_um - simulated.simulate()
     count = residual_um.size + samples_added(residual_um.size)
@@ -252,4 +253,5 @@ def _loops_again(simulated: SimulatedRecording) -> tuple[HysteresisSegment, floa
     others = np.column_stack([np.ones(missing_um.size), segment.transients])[simulated.good]
     asked_um = missing_um[simulated.good]
     asked_um = asked_um - others @ np.linalg.lstsq(others, asked_um, rcond=None)[0]
-    return segment, float(np.mean(asked_um**2))
+    accuracy_um = FIT.model_tolerance * np.ptp(simulated.measured_um)
+    return segment, float(np.mean(asked_um**2) + accuracy_um**2)

@@ -254,13 +254,13 @@ class _Search:
     def _with_bouc_wen(self, state: _State, fraction: float) -> _State:
         """Return a state with a Bouc-Wen hysteresis in place of its own, whatever its evidence.
 
-        A state at the noise or without recorded loops is returned as it is, and so is any when the
-        time is over. Loops that are explained do not exclude it: a density may have followed them
-        while creep and dynamics did not.
+        A state near the noise or without recorded loops is returned as it is, and so is any when
+        the time is over. Loops that are explained do not exclude it: a density may have followed
+        them while creep and dynamics did not.
         """
         shows_loops = not self.given.model.hysteresis.is_line or any(
             experiment_of(name) == "hysteresis" for name in self.read_late_s)
-        if not shows_loops or is_at_noise(state.problem, state.best):
+        if not shows_loops or is_at_noise(state.problem, state.best, SETTINGS.wrong):
             return state
         with while_time_lasts(BOUC_WEN):
             check_cancelled()

@@ -128,8 +128,7 @@ def density_of_parts(
     The options are those of `estimate_density`. Raise ValueError if the voltage does not change or
     never returns.
     """
-    every = max(1, -(-sum(segment.samples.size for segment in segments) // most_rows))
-    segments = [replace(segment, samples=segment.samples[::every]) for segment in segments]
+    segments = _thinned(segments, most_rows)
     lowest_v, highest_v = voltage_range_v(parts)
     passed = levels_passed(parts, highest_v - lowest_v)
     is_line = passed < FEWEST_LEVELS
@@ -138,6 +137,26 @@ def density_of_parts(
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
         segments, edges_v, level_count, smoothing_weight, translation_weight, is_line, near)
+
+
+def _thinned(segments: Sequence[HysteresisSegment], most_rows: int) -> list[HysteresisSegment]:
+    """Return segments with so many samples together, spaced evenly, and their former weights.
+
+    The longest ones lose the most, so that they leave the rows of short ones as they are. The
+    weights have a mean of 1.
+    """
+    left, sizes = most_rows, sorted(segment.samples.size for segment in segments)
+    for number, size in enumerate(sizes):
+        most = max(left // (len(sizes) - number), 1)
+        left -= min(size, most)
+    thinned = []
+    for segment in segments:
+        every = max(1, -(-segment.samples.size // most))
+        thinned.append(replace(
+            segment, samples=segment.samples[::every], weight=every * segment.weight))
+    rows = sum(segment.samples.size for segment in thinned)
+    whole = sum(segment.samples.size * segment.weight for segment in thinned)
+    return [replace(segment, weight=segment.weight * rows / whole) for segment in thinned]
 
 
 def levels_passed(parts: Sequence[Recording], range_v: float) -> int:

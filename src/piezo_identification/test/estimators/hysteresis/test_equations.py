@@ -4,7 +4,8 @@
 import numpy as np
 import pytest
 
-from piezo_identification.estimators.hysteresis.equations import Equations
+from piezo_identification.estimators.hysteresis.density_fit import _thinned
+from piezo_identification.estimators.hysteresis.equations import Equations, HysteresisSegment
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
 
 SIZE, SAMPLES = 12, 3000
@@ -51,3 +52,19 @@ def test_a_weight_counts_rows_several_times():
     for name in "linear", "border", "corner", "border_linear", "square":
         assert getattr(weighed, name) == pytest.approx(getattr(twice, name))
     assert abs(weighed.quadratic - twice.quadratic).max() < 1e-9 * abs(twice.quadratic).max()
+
+
+@pytest.mark.parametrize("sizes, kept", [
+    ([50, 30], [50, 30]), ([50, 10000], [50, 50]), ([400, 400], [50, 50]),
+    ([7, 60, 2000], [7, 30, 47])])
+def test_long_segments_are_thinned_to_the_rows_that_short_ones_leave(sizes, kept):
+    segments = [HysteresisSegment(np.zeros(size), np.zeros(size), np.arange(size),
+                                  np.empty((size, 0)), weight=number + 1.0)
+                for number, size in enumerate(sizes)]
+    thinned = _thinned(segments, 100)
+    assert [each.samples.size for each in thinned] == kept
+    assert sum(kept) <= 100
+    before, after = (np.array([each.weight * each.samples.size for each in chosen])
+                     for chosen in (segments, thinned))
+    assert after.sum() == pytest.approx(sum(kept))
+    assert after / after[0] == pytest.approx(before / before[0], rel=0.05)
