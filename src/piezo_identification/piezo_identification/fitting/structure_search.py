@@ -45,7 +45,7 @@ class SearchSettings:
     """Largest number of changes of the structure."""
     promise: float = 100.0
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
-    promise_of_start: float = 300.0
+    promise_of_start: float = 1000.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
     followed, before and after the search from the best start: its loops were not yet estimated."""
     promise_before_loops: float = 3000.0

@@ -155,10 +155,12 @@ class _Search:
 
         The loops were estimated with other creep and dynamics than those of most starts, so that
         their evidence does not show yet which of them is the best one. Its rivals are the best one
-        with another amplifier, and others unless it then leaves hardly more than the noise.
+        with another amplifier, and others unless it then leaves hardly more than the noise. Modes
+        of the separate steps may stand for errors of the loops, so that their start is no rival.
         """
         first, *others = sorted(
             states, key=lambda state: -state.best.evidence_over(states[0].best))
+        others = [state for state in others if state.problem is not self.problem]
         first = self._with_loops_again(first)
         alike, unlike = (
             [state for state in others

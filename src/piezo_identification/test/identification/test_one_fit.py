@@ -109,7 +109,7 @@ class _Racing(_Search):
     """A search in which each estimate of the loops changes the evidence as listed."""
 
     def __init__(self, *evidence):
-        self.__dict__.update(new_loops=True, made=[], evidence=evidence)
+        self.__dict__.update(new_loops=True, problem=None, made=[], evidence=evidence)
 
     def _with_renewed_loops(self, before, fraction, width=0.0):
         self.made.append(before.best.start)
