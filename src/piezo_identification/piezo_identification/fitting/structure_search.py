@@ -47,7 +47,7 @@ class SearchSettings:
     """Largest deficit of log-evidence with which a structure is followed or tried again."""
     promise_of_start: float = 1000.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
-    followed, before and after the search from the best start: its loops were not yet estimated."""
+    followed, before and after the search from the best start: its own search may add as much."""
     promise_before_loops: float = 3000.0
     """Largest deficit with which the loops are estimated again with a start."""
     promise_before_pasts: float = 3000.0

@@ -158,6 +158,8 @@ class _Search:
         with another amplifier, and others unless it then leaves hardly more than the noise. Modes
         of the separate steps may stand for errors of the loops, so that their start is no rival.
         """
+        if self.new_loops is None:
+            return list(states)
         first, *others = sorted(
             states, key=lambda state: -state.best.evidence_over(states[0].best))
         others = [state for state in others if state.problem is not self.problem]

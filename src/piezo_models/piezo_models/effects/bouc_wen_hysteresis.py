@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -21,6 +22,9 @@ STEP = 1.0 / 64.0
 
 BISECTIONS = 40
 """Number of bisections of a step to find where a motion begins."""
+
+KEPT = 16
+"""Number of cached solutions."""
 
 SATURATED = 1e-12
 """Distance from saturation at which the numerical solution ends."""
@@ -63,6 +67,15 @@ def _solution(unloading: float, exponent: float) -> FloatArray:
     return np.array(taken)
 
 
+@lru_cache(maxsize=KEPT)
+def _kept_solution(unloading: float, exponent: float) -> FloatArray:
+    """Return the solution, cached: a stage that moves sample by sample needs it for each of them.
+
+    It is empty for an exponent of 1, which has an exact solution.
+    """
+    return np.empty(0) if exponent == 1.0 else _solution(unloading, exponent)
+
+
 @njit(cache=True, nogil=True)
 def _between(solution: FloatArray, place: int, part: float, unloading: float,
              exponent: float) -> float:
@@ -98,10 +111,10 @@ def _along(solution: FloatArray, ahead: float, left: float, unloading: float,
 
 @njit(cache=True, nogil=True)
 def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: float,
-           relaxation_v: float, unloading: float, exponent: float) -> FloatArray:
+           relaxation_v: float, unloading: float, exponent: float,
+           solution: FloatArray) -> FloatArray:
     """Return what is taken from a voltage, (N,), however far samples are apart."""
     taken = np.empty(voltage_v.size)
-    solution = _solution(unloading, exponent) if exponent != 1.0 else np.empty(0)
     for n in range(voltage_v.size):
         move_v = voltage_v[n] - last_v
         last_v = voltage_v[n]
@@ -148,7 +161,8 @@ class BoucWenHysteresis(Effect):
         signal = np.ascontiguousarray(signal, dtype=float)
         last_v, taken_v = (float(signal[0]), 0.0) if past is None else past
         taken = _taken(signal, last_v, taken_v, self.saturation_v, self.relaxation_v,
-                       self.unloading, self.exponent)
+                       self.unloading, self.exponent,
+                       _kept_solution(self.unloading, self.exponent))
         return signal - taken, (float(signal[-1]), float(taken[-1]))
 
     def memory_after(self, voltage_v: ArrayLike) -> Any:
