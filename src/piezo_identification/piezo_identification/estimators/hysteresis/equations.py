@@ -13,7 +13,7 @@ from piezo_common.arrays import FloatArray
 from piezo_identification.estimators.hysteresis.everett_regression import (
     EverettRegression,
     everett_regression,
-    remembered_pairs,
+    histories,
 )
 from piezo_identification.estimators.hysteresis.nonnegative import nonnegative_minimum
 from piezo_identification.estimators.hysteresis.penalties import (
@@ -180,13 +180,12 @@ def equations_of_folds(
     """
     if folds is None:
         folds = [np.zeros(segment.samples.size, dtype=int) for segment in segments]
-    histories = [remembered_pairs(segment.voltage_v, levels_v, segment.samples)[1]
-                 for segment in segments]
+    listed = [histories(segment.voltage_v, levels_v, segment.samples) for segment in segments]
     widths = [
         1 + int(history.max(initial=0)) + segment.transients.shape[1]
-        for segment, history in zip(segments, histories, strict=True)
+        for segment, history in zip(segments, listed, strict=True)
     ]
-    if all((history < 0).all() for history in histories):
+    if all((history < 0).all() for history in listed):
         raise ValueError(
             "no sample lies where the voltage has been before: record at least one reversal"
         )
@@ -195,7 +194,7 @@ def equations_of_folds(
     first = 0
     for each in equations:
         each.offset_columns = np.cumsum([0, *widths[:-1]])
-    for segment, history, fold, width in zip(segments, histories, folds, widths, strict=True):
+    for segment, history, fold, width in zip(segments, listed, folds, widths, strict=True):
         numbers = np.arange(1, history.max(initial=0) + 1)
         known = history >= 0
         samples, fold = segment.samples[known], fold[known]

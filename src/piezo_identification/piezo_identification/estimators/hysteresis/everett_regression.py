@@ -21,6 +21,15 @@ from piezo_models.hysteresis.preisach_kernels import branch_start, cell_of, with
 
 IntArray = NDArray[np.int64]
 
+SparseRows = tuple[FloatArray, IntArray, IntArray]
+"""Values, columns, and the index of the first entry of each row and of the end."""
+
+ENTRIES = 8
+"""Largest number of unknowns in one Everett value."""
+
+ROUNDED = 1e-4
+"""Rounding of older remembered voltages, relative to the range."""
+
 NEAR_A_LEVEL = 0.02
 """Distance from a level, in cells, within which a voltage counts as on it for visited cells."""
 
@@ -48,6 +57,10 @@ class EverettRegression:
         """The output is `matrix @ unknowns` plus an offset, (N, u)."""
         return self.branches[self.branch] + self.moving
 
+    def output_um(self, unknowns: FloatArray) -> FloatArray:
+        """Return the output without its offset, (N,)."""
+        return np.asarray((self.branches @ unknowns)[self.branch] + self.moving @ unknowns)
+
     def select(self, mask: BoolArray) -> "EverettRegression":
         """Return the regression of some samples, (N,)."""
         kept, branch = np.unique(self.branch[mask], return_inverse=True)
@@ -70,16 +83,18 @@ def everett_regression(
     """
     samples = np.arange(len(voltage_v)) if samples is None else samples
     size = levels_v.size - 1
-    pairs, history = _pairs(
+    of_branches, branch, of_samples, history = _regression(
         _positions(voltage_v, levels_v), size, np.asarray(samples, dtype=np.int64))
-    branch, is_moving, is_first = _branches(pairs, len(samples))
-    older = pairs[is_first & ~is_moving]
-    older[:, 0] = branch[older[:, 0].astype(int)]
     branches, moving = (
-        csr_array(_rows(part, size, count), shape=(count, size * (size + 3) // 2))
-        for part, count in ((older, 1 + int(branch.max(initial=0))),
-                            (pairs[is_moving], len(samples))))
+        csr_array(rows, shape=(rows[2].size - 1, size * (size + 3) // 2))
+        for rows in (of_branches, of_samples))
     return EverettRegression(branches, branch, moving, history)
+
+
+def histories(voltage_v: FloatArray, levels_v: FloatArray,
+              samples: NDArray[np.intp]) -> IntArray:
+    """Return the `history` of an `everett_regression` alone; its arguments are the same."""
+    return _histories(_positions(voltage_v, levels_v), levels_v.size - 1, samples.astype(np.int64))
 
 
 def remembered_pairs(
@@ -89,11 +104,14 @@ def remembered_pairs(
 
     The arguments are those of `everett_regression`; only the ends of the levels matter. Each pair,
     (P, 4), has the index among the samples, upper and lower voltage with the range scaled to -1 to
-    1, and the sign of the value. The history is as in `EverettRegression`; a sample with a negative
-    number has no pairs.
+    1, and the sign of the value. Remembered voltages other than the present one are rounded to
+    `ROUNDED` of the range, and pairs that then cancel are left out: a chirp may remember thousands
+    of voltages. The history is as in `EverettRegression`; a sample with a negative number has no
+    pairs.
     """
     size = levels_v.size - 1
-    pairs, history = _pairs(_positions(voltage_v, levels_v), size, samples.astype(np.int64))
+    pairs, history = _pairs(
+        _positions(voltage_v, levels_v), size, samples.astype(np.int64), ROUNDED * size)
     pairs[:, 1:3] = 2.0 * pairs[:, 1:3] / size - 1.0
     return pairs, history
 
@@ -155,7 +173,7 @@ def summed_over_corners(
     """
     # After the lowest level, the memory of every sample is known.
     position = np.concatenate([[0.0], _positions(voltage_v, levels_v)])
-    pairs, _ = _pairs(position, len(values), np.arange(1, position.size))
+    pairs, _ = _pairs(position, len(values), np.arange(1, position.size), 0.0)
     # On an edge, the cell whose upper edge it is.
     upper = np.maximum(np.ceil(pairs[:, 1]).astype(int) - 1, 0)
     lower = np.minimum(pairs[:, 2].astype(int), upper)
@@ -254,23 +272,111 @@ def _follow(position: FloatArray, n: int, extremes: FloatArray, top: int, seen: 
 
 
 @njit(cache=True)
-def _rows(pairs: FloatArray, size: int, count: int) -> tuple[FloatArray, IntArray, IntArray]:
-    """Values, columns and starts of the sparse rows of samples with some pairs."""
-    values = np.empty(8 * len(pairs))
-    columns = np.empty(8 * len(pairs), np.int64)
-    starts = np.zeros(count + 1, np.int64)
-    used = 0
-    for pair in range(len(pairs)):
-        row, alpha, beta, sign = pairs[pair, 0], pairs[pair, 1], pairs[pair, 2], pairs[pair, 3]
-        used = _everett_row(values, columns, used, sign, alpha, beta, size)
-        starts[int(row) + 1] = used
-    for row in range(count):
-        starts[row + 1] = max(starts[row + 1], starts[row])
-    return values[:used], columns[:used], starts
+def _histories(position: FloatArray, size: int, samples: IntArray) -> IntArray:
+    history = np.empty(samples.size, np.int64)
+    extremes, seen = np.empty(16), np.zeros(4)
+    top, row = 0, 0
+    for n in range(position.size):
+        if row == samples.size:
+            break
+        extremes, top, number = _follow(position, n, extremes, top, seen, size)
+        if samples[row] == n:
+            history[row] = number
+            row += 1
+    return history
 
 
 @njit(cache=True)
-def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArray, IntArray]:
+def _regression(position: FloatArray, size: int, samples: IntArray) -> tuple[
+        SparseRows, IntArray, SparseRows, IntArray]:
+    """Return the rows of the branches, the branch of each sample, its own row, and its history.
+
+    The samples of a branch remember the same extremes except for the last one.
+    """
+    older, own = (np.empty(64), np.empty(64, np.int64)), (np.empty(64), np.empty(64, np.int64))
+    of_branch, of_sample = np.zeros(samples.size + 2, np.int64), np.zeros(
+        samples.size + 1, np.int64)
+    branch, history = np.zeros(samples.size, np.int64), np.empty(samples.size, np.int64)
+    extremes, begun, seen = np.empty(16), np.empty(0), np.zeros(4)
+    place = np.full(size * (size + 3) // 2, -1, np.int64)
+    top, row, number, used, count = 0, 0, -1, 0, 0
+    for n in range(position.size):
+        if row == samples.size:
+            break
+        extremes, top, known = _follow(position, n, extremes, top, seen, size)
+        if samples[row] != n:
+            continue
+        history[row] = known
+        # Without a known past, no pair counts.
+        last = top if known >= 0 else 0
+        if number < 0 or not _equal(begun, extremes[: max(last, 1)]):
+            number, begun = number + 1, extremes[: max(last, 1)].copy()
+            older = _with_room_for(older, used + ENTRIES * last)
+            used = _summed_pairs(*older, used, begun, 1, last, size, place)
+            of_branch[number + 1] = used
+        branch[row] = number
+        if last > 0:
+            own = _with_room_for(own, count + ENTRIES)
+            count = _summed_pairs(*own, count, extremes, last, last + 1, size, place)
+        of_sample[row + 1] = count
+        row += 1
+    return ((older[0][:used], older[1][:used], of_branch[: max(number, 0) + 2]), branch,
+            (own[0][:count], own[1][:count], of_sample), history)
+
+
+@njit(cache=True)
+def _equal(values: FloatArray, others: FloatArray) -> bool:
+    if values.size != others.size:
+        return False
+    for place in range(values.size):
+        if values[place] != others[place]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _with_room_for(entries: tuple[FloatArray, IntArray],
+                   count: int) -> tuple[FloatArray, IntArray]:
+    """Return values and columns, copied to longer arrays if there is no room for so many."""
+    values, columns = entries
+    if count <= values.size:
+        return entries
+    longer, of_longer = np.empty(2 * count), np.empty(2 * count, np.int64)
+    longer[: values.size] = values
+    of_longer[: values.size] = columns
+    return longer, of_longer
+
+
+@njit(cache=True)
+def _summed_pairs(values: FloatArray, columns: IntArray, first: int, extremes: FloatArray,
+                  begin: int, end: int, size: int, place: IntArray) -> int:
+    """Write the weights in some pairs of neighbouring extremes, one for each unknown.
+
+    `place` is -1 for all unknowns. Return the number of entries with these.
+    """
+    count = first
+    for k in range(begin, end):
+        count = _everett_row(
+            values, columns, count, 1.0 if k % 2 == 1 else -1.0,
+            max(extremes[k], extremes[k - 1]), min(extremes[k], extremes[k - 1]), size)
+    used = first
+    for entry in range(first, count):
+        at = place[columns[entry]]
+        if at < 0:
+            place[columns[entry]] = used
+            values[used], columns[used] = values[entry], columns[entry]
+            used += 1
+        else:
+            values[at] += values[entry]
+    for entry in range(first, used):
+        place[columns[entry]] = -1
+    return used
+
+
+@njit(cache=True)
+def _pairs(position: FloatArray, size: int, samples: IntArray,
+           rounded: float) -> tuple[FloatArray, IntArray]:
+    """Return the pairs of remembered positions; see `remembered_pairs` for their rounding."""
     pairs = np.empty((16 * samples.size + 64, 4))
     history = np.empty(samples.size, np.int64)
     extremes = np.empty(16)
@@ -288,10 +394,15 @@ def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArr
                 longer = np.empty((2 * len(pairs) + top, 4))
                 longer[:count] = pairs[:count]
                 pairs = longer
+            first, before = count, _near(extremes[0], rounded)
             for k in range(1, top + 1):
-                pairs[count, 0] = row
-                pairs[count, 1] = max(extremes[k], extremes[k - 1])
-                pairs[count, 2] = min(extremes[k], extremes[k - 1])
+                v = extremes[k] if k == top else _near(extremes[k], rounded)
+                upper, lower, before = max(v, before), min(v, before), v
+                if count > first and pairs[count - 1, 1] == upper and (
+                        pairs[count - 1, 2] == lower):
+                    count -= 1
+                    continue
+                pairs[count, 0], pairs[count, 1], pairs[count, 2] = row, upper, lower
                 pairs[count, 3] = 1.0 if k % 2 == 1 else -1.0
                 count += 1
         row += 1
@@ -299,29 +410,8 @@ def _pairs(position: FloatArray, size: int, samples: IntArray) -> tuple[FloatArr
 
 
 @njit(cache=True)
-def _branches(pairs: FloatArray, count: int) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Return the branch of each sample, and which pairs are the last and of the first one of each.
-
-    The samples of a branch have the same pairs except for the last one.
-    """
-    branch = np.zeros(count, np.int64)
-    is_moving, is_first = np.zeros(len(pairs), np.bool_), np.zeros(len(pairs), np.bool_)
-    number, begun, older, pair = -1, 0, -1, 0
-    for row in range(count):
-        first = pair
-        while pair < len(pairs) and pairs[pair, 0] == row:
-            pair += 1
-        if pair > first:
-            is_moving[pair - 1] = True
-        same = max(pair - first - 1, 0) == older
-        for k in range(max(pair - first - 1, 0)):
-            same = same and (pairs[first + k, 1] == pairs[begun + k, 1]
-                             and pairs[first + k, 2] == pairs[begun + k, 2])
-        if not same:
-            number, begun, older = number + 1, first, max(pair - first - 1, 0)
-            is_first[first:pair] = True
-        branch[row] = number
-    return branch, is_moving, is_first
+def _near(position: float, rounded: float) -> float:
+    return position if rounded == 0.0 else np.round(position / rounded) * rounded
 
 
 @njit(cache=True)

@@ -294,7 +294,7 @@ def _output_um(segment: HysteresisSegment, levels_v: FloatArray, plays: PlaySum,
     finer_v = np.linspace(levels_v[0], levels_v[-1], size + 1)
     regression = everett_regression(segment.voltage_v, finer_v, segment.samples)
     output_um = np.zeros(segment.voltage_v.size)
-    output_um[segment.samples] = regression.matrix @ plays.unknowns(size)
+    output_um[segment.samples] = regression.output_um(plays.unknowns(size))
     return output_um
 
 
