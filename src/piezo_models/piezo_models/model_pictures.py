@@ -42,6 +42,9 @@ STATIC_HZ = (1.0, 1000.0)
 STEP = 0.01
 """Step of the numerical derivative, as a fraction of the parameter's standard deviation."""
 
+WIDEST_BAND = 10.0
+"""Largest logarithm of the band of a gain that is drawn: an undetermined one has no end."""
+
 
 def draw_model(model: "StageModel", visited: NDArray[np.bool_] | None = None) -> "Figure":
     """Draw Preisach plane, loops, and gain and phase of the linear part.
@@ -176,8 +179,8 @@ def draw_bode(gain: "Axes", phase: "Axes", identified: "IdentifiedModel",
         near = np.interp(measured[0], frequency_hz, angle)
         off = np.degrees(np.angle(measured[1] * np.exp(-1j * np.radians(near))))
         phase.semilogx(measured[0], near + off, **points)
-    gain.fill_between(frequency_hz, size * np.exp(-BAND * magnitude),
-                      size * np.exp(BAND * magnitude), **band)
+    factor = np.exp(np.minimum(BAND * magnitude, WIDEST_BAND))
+    gain.fill_between(frequency_hz, size / factor, size * factor, **band)
     gain.loglog(frequency_hz, size, **MODELLED)
     width = BAND * np.degrees(phase_rad)
     phase.fill_between(frequency_hz, angle - width, angle + width, **band)

@@ -7,6 +7,7 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
@@ -48,8 +49,9 @@ class SearchSettings:
     promise_of_start: float = 1000.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
     followed, before and after the search from the best start: its own search may add as much."""
-    promise_before_loops: float = 3000.0
-    """Largest deficit with which the loops are estimated again with a start."""
+    promise_before_loops: float = 5000.0
+    """Largest deficit with which the loops are estimated again with a start, before that is done
+    with the best one."""
     promise_before_pasts: float = 3000.0
     """Largest deficit with which the pasts are sought behind a Bouc-Wen hysteresis: without them,
     all recordings begin at rest."""
@@ -91,6 +93,8 @@ class SearchSettings:
     """Number of creep pairs that are added together to a model without any."""
     first_creep: float = 0.005
     """Initial size of each of them, relative to the displacement."""
+    slowest_creep: float = 3.0
+    """Rate of the slowest creep times the longest duration above which slower creep is tried."""
     widest_gap: float = 12.0
     """Ratio of neighbouring creep rates above which a start gets another pair between them."""
 
@@ -126,7 +130,7 @@ class Structure:
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
           report: Callable[[str, float], object] = lambda *_: None,
           is_asked_for: Callable[[StageModel], bool] = lambda _: True,
-          with_new_loops: Callable[[Structure], WholeModel] | None = None,
+          with_new_loops: Callable[[WholeFit], WholeModel] | None = None,
           ) -> tuple[list[Begun], list[Tried]]:
     """Fit the whole model from several starts.
 
@@ -134,10 +138,10 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     read later than stated in the problem. `report` is called with a description and the fraction
     done before each fit, and `is_asked_for` returns whether a model may be tried.
 
-    `with_new_loops` returns the problem with loops estimated together with a structure. The loops
+    `with_new_loops` returns the problem with loops estimated again with a fitted model. The loops
     of the given model compensate for the errors of its creep and dynamics, and a fit with other
-    dynamics takes long to correct them. One estimate is used for all starts except the given model,
-    because the starts differ little at the speed of the loops.
+    dynamics takes long to correct them. Those of the first start are used for all starts except the
+    given model, because the starts differ little at the speed of the loops.
 
     Return the fits that may be continued, each with its problem, and all fits in the order they
     were made.
@@ -163,7 +167,11 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
                 continue
             report(structure.change, number / (len(listed) + 1))
             if structure not in between and with_loops is problem and with_new_loops is not None:
-                with_loops = with_new_loops(structure)
+                # The first estimate is as wrong as the dynamics before any fit.
+                for steps in (0, SETTINGS.followed_steps):
+                    fit = with_loops.fit(structure.model, structure.delay_s, steps)
+                    structure = replace(structure, model=fit.model, delay_s=fit.delay_s)
+                    with_loops = with_new_loops(fit)
             where = problem if structure in between else with_loops
             # A delay compensates for an amplifier that is yet to be found.
             is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
@@ -395,9 +403,11 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
         bare, effects=(AmplifierLag(lag_s), *effects)), delay_s)
     if len(modes) > 1:
         # Modes of a wrong order stand for errors of the loops, and are hard to remove again.
+        loudest = loudest_mode(given, problem.sample_period_s)
+        mode = CoupledMode(
+            loudest.mode_frequencies_rad_per_s[0], loudest.damping_ratios[0], participation=1.0)
         yield Structure("its loudest mode alone, with an amplifier's lag", replace(
-            bare, dynamics=loudest_mode(given, problem.sample_period_s),
-            effects=(AmplifierLag(lag_s), *others)), delay_s)
+            bare, effects=(AmplifierLag(lag_s), mode, *others)), delay_s or 0.0)
     if is_loop_recorded:
         # The delay is added later.
         late_s = lag_s + max(delay_s or 0.0, 0.0)
@@ -469,14 +479,36 @@ def _widest_gap(creep: CreepDynamics) -> tuple[int, float]:
 
 def _with_pair_between(creep: CreepDynamics) -> CreepDynamics:
     """Return a creep of the same gain with a further pair in its widest gap."""
-    poles = np.array(creep.poles_rad_per_s)
-    gains = np.log(creep.zeros_rad_per_s) - np.log(poles)
-    gap, _ = _widest_gap(creep)
-    share = 0.25 * (gains[gap] + gains[gap + 1])
-    gains[gap : gap + 2] -= 0.5 * share
-    poles = np.insert(poles, gap + 1, np.sqrt(poles[gap] * poles[gap + 1]))
-    gains = np.insert(gains, gap + 1, share)
-    return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(gains)).tolist()))
+    poles, sizes = np.array(creep.poles_rad_per_s), _sizes(creep)
+    gap, ratio = _widest_gap(creep)
+    share = 0.5 * max(float(sizes[gap : gap + 2].min()), SETTINGS.first_creep)
+    sizes[gap : gap + 2] -= 0.5 * share
+    rate_rad_per_s = poles[gap] * min(np.sqrt(ratio), SETTINGS.faster_creep)
+    return _of_sizes(np.insert(poles, gap + 1, rate_rad_per_s), np.insert(sizes, gap + 1, share))
+
+
+def _without_least_pair(creep: CreepDynamics) -> tuple[CreepDynamics, float]:
+    """Return a creep whose smallest pair is part of the nearest one, and the rate of that pair.
+
+    Of two nearly equal pairs of opposite signs, the sum remains.
+    """
+    poles, sizes = np.array(creep.poles_rad_per_s), _sizes(creep)
+    least = int(np.argmin(sizes))
+    others = np.arange(poles.size) != least
+    nearest = int(np.argmin(np.abs(np.log(poles[others] / poles[least]))))
+    remaining = sizes[others]
+    remaining[nearest] += sizes[least]
+    return _of_sizes(poles[others], remaining), float(poles[least])
+
+
+def _sizes(creep: CreepDynamics) -> FloatArray:
+    """Return the logarithm of the gain of each pair, (n,)."""
+    return np.asarray(np.log(creep.zeros_rad_per_s) - np.log(creep.poles_rad_per_s))
+
+
+def _of_sizes(poles_rad_per_s: ArrayLike, sizes: ArrayLike) -> CreepDynamics:
+    poles = np.asarray(poles_rad_per_s, dtype=float)
+    return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(sizes)).tolist()))
 
 
 def _clear(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
@@ -503,19 +535,17 @@ def _creep_up_to(creep: CreepDynamics, modes: Sequence[VibrationMode]) -> CreepD
 def _creep_as_far_as(creep: CreepDynamics, rate_rad_per_s: float,
                      pairs: int | None = None) -> CreepDynamics:
     """Return a creep with faster pairs added below some rate, which continue its trend."""
-    poles, zeros = list(creep.poles_rad_per_s), list(creep.zeros_rad_per_s)
+    poles, sizes = list(creep.poles_rad_per_s), _sizes(creep).tolist()
     factor, added = SETTINGS.faster_creep, 0
-    sizes = np.log(zeros) - np.log(poles)
     if not poles or sizes[-1] <= 0.0:  # a pair of the other sign shows no trend
         return creep
     exponent = 0.0 if len(poles) < 2 or sizes[-2] <= 0.0 else np.clip(
         np.log(sizes[-1] / sizes[-2]) / np.log(poles[-1] / poles[-2]), -1.0, 0.0)
     while factor * poles[-1] < rate_rad_per_s and added != pairs:
         added += 1
-        size = sizes[-1] * factor ** (added * exponent)
         poles.append(factor * poles[-1])
-        zeros.append(float(poles[-1] * np.exp(size)))
-    return CreepDynamics(tuple(poles), tuple(zeros))
+        sizes.append(float(sizes[-1] * factor**exponent))
+    return _of_sizes(poles, sizes)
 
 
 def _in_phase(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
@@ -643,14 +673,14 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
                 _without(model, place), AmplifierLag(effect.time_constant_s)), delay_s)
     if model.dynamics.antiresonance_frequencies_rad_per_s:
         yield _without_cancelled_mode(model, delay_s)
+    elif modes:
+        yield from _without_modes_in_series(model, delay_s)
     if model.dynamics.time_constant_s > 0.0:
         yield Structure("without the electric time constant", *_later(
             _electric(model, 0.0), delay_s, model.dynamics.time_constant_s))
-    poles, zeros = model.creep.poles_rad_per_s, model.creep.zeros_rad_per_s
-    if len(poles) > 1:
-        least = int(np.argmin(np.log(zeros) - np.log(poles)))
-        creep = CreepDynamics(_but(poles, least), _but(zeros, least))
-        yield Structure(f"without the creep of {poles[least]:.4g} rad/s",
+    if len(model.creep.poles_rad_per_s) > 1:
+        creep, rate_rad_per_s = _without_least_pair(model.creep)
+        yield Structure(f"without the creep of {rate_rad_per_s:.4g} rad/s",
                         replace(model, creep=creep), delay_s)
 
 
@@ -676,6 +706,17 @@ def _in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
         in_series = replace(model, effects=others, dynamics=replace(
             dynamics, time_constant_s=max(lag_s, 0.0)))
         yield Structure(MODES_IN_SERIES, *_later(in_series, delay_s, min(lag_s, 0.0)), is_far=True)
+
+
+def _without_modes_in_series(model: StageModel, delay_s: float | None) -> Iterator[Structure]:
+    """Yield the model without each of its most damped modes in series."""
+    dynamics = model.dynamics
+    for place in np.argsort(dynamics.damping_ratios)[::-1][: SETTINGS.modes_less].tolist():
+        frequencies = dynamics.mode_frequencies_rad_per_s
+        yield Structure(f"without the mode of {frequencies[place]:.4g} rad/s in series", replace(
+            model, dynamics=ElectricVibrationDynamics(
+                dynamics.time_constant_s, _but(frequencies, place),
+                _but(dynamics.damping_ratios, place))), delay_s)
 
 
 def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structure:
@@ -758,6 +799,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         # Only slow recordings were given, which show nothing fast, and creep far from the optimum.
         for structure in (*_with_creep(problem, model, delay_s),
                           *_with_creep_between(model, delay_s),
+                          *_with_slower_creep(problem, model, delay_s),
                           *_with_faster_creep(problem, model, delay_s)):
             yield replace(structure, is_far=True)
         return
@@ -775,6 +817,7 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
         yield Structure("with an electric time constant", _electric(earlier, lag_s), earlier_s)
     yield from _with_creep(problem, model, delay_s)
     yield from _with_creep_between(model, delay_s)
+    yield from _with_slower_creep(problem, model, delay_s)
     if problem.fastest_over_noise(fit) < SETTINGS.above_noise:
         return
     for place, effect in enumerate(model.effects):
@@ -801,9 +844,8 @@ def _with_creep(problem: WholeModel, model: StageModel,
     if not model.creep.poles_rad_per_s and problem.longest_s > 0.0:
         rates_rad_per_s = (
             SETTINGS.faster_creep ** np.arange(SETTINGS.first_pairs) / problem.longest_s)
-        yield Structure("with creep", replace(model, creep=CreepDynamics(
-            tuple(rates_rad_per_s.tolist()),
-            tuple((rates_rad_per_s * (1.0 + SETTINGS.first_creep)).tolist()))), delay_s,
+        yield Structure("with creep", replace(model, creep=_of_sizes(
+            rates_rad_per_s, np.full(SETTINGS.first_pairs, SETTINGS.first_creep))), delay_s,
             is_far=True)
 
 
@@ -812,7 +854,18 @@ def _with_creep_between(model: StageModel, delay_s: float | None) -> Iterator[St
         gap, _ = _widest_gap(model.creep)
         slow, fast = model.creep.poles_rad_per_s[gap : gap + 2]
         yield Structure(f"with creep between {slow:.3g} and {fast:.3g} rad/s", replace(
-            model, creep=_with_pair_between(model.creep)), delay_s)
+            model, creep=_with_pair_between(model.creep)), delay_s, is_far=True)
+
+
+def _with_slower_creep(problem: WholeModel, model: StageModel,
+                       delay_s: float | None) -> Iterator[Structure]:
+    poles = model.creep.poles_rad_per_s
+    if poles and poles[0] * problem.longest_s > SETTINGS.slowest_creep:
+        rate_rad_per_s = max(poles[0] / SETTINGS.faster_creep, 1.0 / problem.longest_s)
+        size = 0.5 * float(_sizes(model.creep)[0])
+        yield Structure("with slower creep", replace(model, creep=_of_sizes(
+            [rate_rad_per_s, *poles], [size if size > 0.0 else SETTINGS.first_creep,
+                                       *_sizes(model.creep)])), delay_s, is_far=True)
 
 
 def _with_faster_creep(problem: WholeModel, model: StageModel,

@@ -203,7 +203,7 @@ def _as_cycled(
 
 
 def new_loops(
-    recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate,
+    recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate | None,
     model: StageModel, read_late_s: Mapping[str, float], straight: Collection[str] = (),
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.

@@ -292,7 +292,7 @@ def _fitted(
         conditioned if steps.first_rise else without_first_runs(
             conditioned, steps.linear, steps.fitted.model.hysteresis),
         steps.read_at,
-        partial(new_loops, conditioned, density, steps.estimate) if renews_loops else None,
+        partial(new_loops, conditioned, density) if renews_loops else None,
         order, report, note)
 
 

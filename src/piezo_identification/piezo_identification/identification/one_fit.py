@@ -22,7 +22,6 @@ from piezo_identification.estimators.hysteresis.density_estimate import DensityE
 from piezo_identification.fitting.structure_search import (
     BOUC_WEN,
     SETTINGS,
-    Structure,
     begun,
     best_of,
     fitted_with_bouc_wen,
@@ -101,7 +100,8 @@ class _Search:
     given: FittedModel
     read_late_s: Mapping[str, float]
     new_loops: Callable[
-        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None
+        [DensityEstimate | None, StageModel, Mapping[str, float], Collection[str]],
+        DensityEstimate] | None
     may_be_straight: Collection[str]
     """Recordings whose voltage may be straight between their rows."""
     is_asked_for: Callable[[StageModel], bool]
@@ -115,19 +115,20 @@ class _Search:
         """
         renewed = list[DensityEstimate]()
 
-        def with_new_loops(start: Structure) -> WholeModel:
+        def with_new_loops(fit: WholeFit) -> WholeModel:
             renewed.append(self._newly_estimated(
-                self.problem.fit(start.model, start.delay_s, 0), self.read_late_s, ()))
+                renewed[-1] if renewed else self.given.loops, fit, self.read_late_s, ()))
             return self.problem.with_hysteresis(
-                replace(start.model, hysteresis=renewed[0].model()), WIDE_PRIOR)
+                replace(fit.delayed_model, hysteresis=renewed[-1].model()), WIDE_PRIOR)
 
         found, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
             with_new_loops if self.new_loops is not None else None)
         self.tried.extend(tried)
-        states = [_State(self.given if problem is self.problem else replace(
-            self.given, visited=renewed[0].visited), fit, problem, self.read_late_s)
-            for problem, fit in found]
+        states = [_State(
+            self.given if problem is self.problem else replace(
+                self.given, visited=renewed[-1].visited, loops=renewed[-1]),
+            fit, problem, self.read_late_s) for problem, fit in found]
         if rival is not None and not is_promising(_best_of(states).best, rival):
             return _best_of(states)
         raced = self._with_loops_in_turns(states)
@@ -156,24 +157,26 @@ class _Search:
         The loops were estimated with other creep and dynamics than those of most starts, so that
         their evidence does not show yet which of them is the best one. Its rivals are the best one
         with another amplifier, and others unless it then leaves hardly more than the noise. Modes
-        of the separate steps may stand for errors of the loops, so that their start is no rival.
+        of the separate steps may stand for errors of the loops, so that their start is no rival,
+        and has one even then.
         """
         if self.new_loops is None:
             return list(states)
         first, *others = sorted(
             states, key=lambda state: -state.best.evidence_over(states[0].best))
         others = [state for state in others if state.problem is not self.problem]
+        near = [state for state in others
+                if state.best.evidence_over(first.best) > -SETTINGS.promise_before_loops]
+        is_given = first.problem is self.problem
         first = self._with_loops_again(first)
         alike, unlike = (
-            [state for state in others
+            [state for state in near
              if (has_amplifier(state.best) == has_amplifier(first.best)) == is_alike]
             for is_alike in (True, False))
-        if is_at_noise(first.problem, first.best, SETTINGS.wrong):
-            alike = []
-        racing, resting = [first, *(
-            self._with_loops_again(state)
-            if state.best.evidence_over(first.best) > -SETTINGS.promise_before_loops else state
-            for state in (*unlike[:1], *alike[:ALIKE]))], list[_State]()
+        is_enough = is_at_noise(first.problem, first.best, SETTINGS.wrong)
+        rivals = [*unlike[:1], *alike[: int(is_given) if is_enough else ALIKE]]
+        racing = [first, *map(self._with_loops_again, rivals)]
+        resting = [state for state in others if state not in rivals]
         for _ in range(TURNS - 1):
             best, further = _best_of([*racing, *resting]), list[_State]()
             for state in racing:
@@ -353,22 +356,24 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._newly_estimated(before.best, before.read_late_s, before.straight)
+            density = self._newly_estimated(
+                before.fitted.loops, before.best, before.read_late_s, before.straight)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
             self.tried.append(("hysteresis estimated again", again))
             if is_better(again, before.best):
                 before.best.errors.forget_pieces()
-                return replace(before, fitted=replace(before.fitted, visited=density.visited),
-                               best=again, problem=problem)
+                return replace(before, best=again, problem=problem, fitted=replace(
+                    before.fitted, visited=density.visited, loops=density))
             again.errors.forget_pieces()
         return before
 
-    def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],
+    def _newly_estimated(self, near: DensityEstimate | None, fit: WholeFit,
+                         read_late_s: Mapping[str, float],
                          straight: Collection[str]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight)
+        return self.new_loops(near, fit.delayed_model, read_later(read_late_s, fit), straight)
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -401,7 +406,8 @@ def _best_of(states: Sequence[_State]) -> _State:
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
     new_loops: Callable[
-        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None,
+        [DensityEstimate | None, StageModel, Mapping[str, float], Collection[str]],
+        DensityEstimate] | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> FittedTogether:
@@ -409,9 +415,9 @@ def fitted_together(
 
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
-    `new_loops` estimates the hysteresis again with a fitted model, the time in s by which each
-    recording reads its rows late, and the recordings whose voltage is straight between their rows.
-    It is None if no recording of loops was given.
+    `new_loops` estimates the hysteresis again near an earlier estimate, with a fitted model, the
+    time in s by which each recording reads its rows late, and the recordings whose voltage is
+    straight between their rows. It is None if no recording of loops was given.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}

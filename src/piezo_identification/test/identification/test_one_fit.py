@@ -117,10 +117,12 @@ class _Racing(_Search):
         return replace(before, best=_Fit(start=before.best.start, evidence=left[0])
                        ) if left else before
 
+    def states(self):
+        return [_State(None, _Fit(start=start, evidence=listed[0]), WITH_PIECES, {})
+                for start, listed in enumerate(self.evidence)]
+
     def raced(self):
-        return self._with_loops_in_turns([
-            _State(None, _Fit(start=start, evidence=listed[0]), WITH_PIECES, {})
-            for start, listed in enumerate(self.evidence)])
+        return self._with_loops_in_turns(self.states())
 
 
 def test_a_start_behind_may_lead_once_its_loops_were_estimated_again():
@@ -137,7 +139,19 @@ def test_a_start_near_the_noise_has_no_rival_with_the_same_amplifier(monkeypatch
     monkeypatch.setattr(_Fit, "over_noise", 2.0)
     monkeypatch.setattr(one_fit, "has_amplifier", lambda fit: fit.start == 2)
     search = _Racing([6200.0, 7200.0], [6100.0, 9999.0], [5000.0, 7500.0])
-    assert {state.best.start for state in search.raced()} == {0, 2}
+    search.raced()
+    assert set(search.made) == {0, 2}
+
+
+def test_the_start_of_the_separate_steps_has_a_rival_even_near_the_noise(monkeypatch):
+    monkeypatch.setattr(_Fit, "over_noise", 2.0)
+    search = _Racing([6200.0, 7200.0], [6100.0, 9999.0], [5000.0, 7500.0])
+    states = search.states()
+    states[1:] = [replace(state, problem=SimpleNamespace(**vars(WITH_PIECES)))
+                  for state in states[1:]]
+    search.__dict__["problem"] = states[0].problem
+    assert _best_of(search._with_loops_in_turns(states)).best.start == 1
+    assert search.made.count(2) == 0
 
 
 def test_a_start_that_gains_less_than_it_is_behind_gets_no_further_loops():

@@ -52,9 +52,10 @@ def _slope(ahead: float, unloading: float, exponent: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _solution(unloading: float, exponent: float) -> FloatArray:
-    """Return what is taken after each step of a motion from saturation, by the Runge-Kutta rule.
+    """Return what is taken after each step of a motion from saturation, and its slopes, (2, N).
 
-    As the equation contains no voltage, every other motion is a part of this one.
+    They follow from the Runge-Kutta rule; the slopes are for one step. As the equation contains no
+    voltage, every other motion is a part of this one.
     """
     taken = [-1.0]
     while 1.0 - taken[-1] > SATURATED:
@@ -64,7 +65,11 @@ def _solution(unloading: float, exponent: float) -> FloatArray:
         third = _slope(ahead + 0.5 * STEP * second, unloading, exponent)
         fourth = _slope(ahead + STEP * third, unloading, exponent)
         taken.append(min(ahead + STEP / 6.0 * (first + 2.0 * (second + third) + fourth), 1.0))
-    return np.array(taken)
+    solution = np.empty((2, len(taken)))
+    for place in range(len(taken)):
+        solution[0, place] = taken[place]
+        solution[1, place] = STEP * _slope(taken[place], unloading, exponent)
+    return solution
 
 
 @lru_cache(maxsize=KEPT)
@@ -73,40 +78,44 @@ def _kept_solution(unloading: float, exponent: float) -> FloatArray:
 
     It is empty for an exponent of 1, which has an exact solution.
     """
-    return np.empty(0) if exponent == 1.0 else _solution(unloading, exponent)
+    return np.empty((2, 0)) if exponent == 1.0 else _solution(unloading, exponent)
 
 
 @njit(cache=True, nogil=True)
-def _between(solution: FloatArray, place: int, part: float, unloading: float,
-             exponent: float) -> float:
+def _between(solution: FloatArray, place: int, part: float) -> float:
     """Return the solution at a part of a step, by a cubic with its values and slopes."""
-    begin, end = solution[place], solution[place + 1]
-    rising = STEP * _slope(begin, unloading, exponent) - (end - begin)
-    falling = end - begin - STEP * _slope(end, unloading, exponent)
+    begin, end = solution[0, place], solution[0, place + 1]
+    rising = solution[1, place] - (end - begin)
+    falling = end - begin - solution[1, place + 1]
     left = 1.0 - part
     return begin * left + end * part + part * left * (rising * left + falling * part)
 
 
 @njit(cache=True, nogil=True)
-def _along(solution: FloatArray, ahead: float, left: float, unloading: float,
-           exponent: float) -> float:
-    """Return what is taken ahead of a motion after its rest, for any exponent."""
-    last = solution.size - 1
-    if left == 0.0 or ahead >= solution[last]:
-        return ahead
-    place = max(int(np.searchsorted(solution, ahead, side="right")) - 1, 0)
+def _steps_until(solution: FloatArray, ahead: float) -> float:
+    """Return the number of steps, with a fraction, after which the solution reaches a value."""
+    last = solution.shape[1] - 1
+    if ahead >= solution[0, last]:
+        return float(last)
+    place = max(int(np.searchsorted(solution[0], ahead, side="right")) - 1, 0)
     low, high = 0.0, 1.0
     for _ in range(BISECTIONS):
         part = 0.5 * (low + high)
-        if _between(solution, place, part, unloading, exponent) < ahead:
+        if _between(solution, place, part) < ahead:
             low = part
         else:
             high = part
-    way = place + 0.5 * (low + high) + left / STEP
-    if way >= last:
-        return float(solution[last])
-    place = int(way)
-    return _between(solution, place, way - place, unloading, exponent)
+    return place + 0.5 * (low + high)
+
+
+@njit(cache=True, nogil=True)
+def _after(solution: FloatArray, steps: float) -> float:
+    """Return what is taken after some steps from saturation."""
+    last = solution.shape[1] - 1
+    if steps >= last:
+        return solution[0, last]
+    place = int(steps)
+    return _between(solution, place, steps - place)
 
 
 @njit(cache=True, nogil=True)
@@ -115,14 +124,23 @@ def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: f
            solution: FloatArray) -> FloatArray:
     """Return what is taken from a voltage, (N,), however far samples are apart."""
     taken = np.empty(voltage_v.size)
+    last_direction, steps = 0.0, 0.0
     for n in range(voltage_v.size):
         move_v = voltage_v[n] - last_v
         last_v = voltage_v[n]
-        direction = math.copysign(1.0, move_v)
-        left, ahead = abs(move_v) / relaxation_v, direction * taken_v / saturation_v
-        ahead = (_exactly(ahead, left, unloading) if exponent == 1.0
-                 else _along(solution, ahead, left, unloading, exponent))
-        taken_v = direction * ahead * saturation_v
+        if move_v != 0.0:
+            direction = math.copysign(1.0, move_v)
+            left, ahead = abs(move_v) / relaxation_v, direction * taken_v / saturation_v
+            if exponent == 1.0:
+                ahead = _exactly(ahead, left, unloading)
+            else:
+                if direction != last_direction:
+                    steps = _steps_until(solution, ahead)
+                steps += left / STEP
+                # Beyond saturation, nothing is given back.
+                ahead = max(ahead, _after(solution, steps))
+            last_direction = direction
+            taken_v = direction * ahead * saturation_v
         taken[n] = taken_v
     return taken
 
