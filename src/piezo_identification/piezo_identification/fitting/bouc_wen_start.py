@@ -27,8 +27,10 @@ LEAST_TAKEN = 1e-3
 
 
 def with_bouc_wen(model: StageModel, line: PreisachModel,
-                  parts: Sequence[SimulatedRecording]) -> StageModel:
+                  parts: Sequence[SimulatedRecording]) -> tuple[float, StageModel]:
     """Return a model with the best Bouc-Wen hysteresis of a scan in place of its own.
+
+    The squared residual comes first.
 
     What the hysteresis takes from the voltage is in proportion to its saturation, so that a
     regression gives the saturation of each shape. The square and the cube of the displacement are
@@ -60,9 +62,9 @@ def with_bouc_wen(model: StageModel, line: PreisachModel,
         (gain, *_), squares = _regression(
             [without_um - taken * taken_um, *bends], measured_um)
         found.append((squares, float(gain), replace(loops, saturation_v=taken * most_v)))
-    _, gain, loops = min(found, key=lambda entry: entry[0])
-    return replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
-                   effects=(*ahead, loops, *behind))
+    squares, gain, loops = min(found, key=lambda entry: entry[0])
+    return squares, replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
+                            effects=(*ahead, loops, *behind))
 
 
 def _regression(columns: Sequence[FloatArray], target: FloatArray) -> tuple[FloatArray, float]:

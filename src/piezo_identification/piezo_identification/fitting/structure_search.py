@@ -22,6 +22,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel, modes_in_series
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
@@ -63,6 +64,8 @@ class SearchSettings:
     worthwhile: float = 0.01
     """Smallest gain of log-evidence for each independent error with which a search goes on if a
     residual is not noise. It reduces the RMS residual by a hundredth."""
+    worthwhile_near_noise: float = 0.002
+    """The same if each residual is nearly noise."""
     modes_less: int = 2
     """Number of modes per round, the least important ones, that are removed on trial."""
     above_noise: float = 1.05
@@ -193,9 +196,9 @@ def fitted_with_bouc_wen(problem: WholeModel,
     """Fit a Bouc-Wen hysteresis in place of that of a fitted model.
 
     No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
-    line, or of a curve if that is not enough. If it is promising, the pasts of the recordings are
-    sought with the fitted equation until that no longer helps. Modes that stand for errors of the
-    loops would hide their shape, so a start with the loudest mode alone follows.
+    line, or of a curve if that is not enough, or beside one, too. If it is promising, the pasts of
+    the recordings are sought with the fitted equation until that no longer helps. Modes that stand
+    for errors of the loops would hide their shape, so a start with the loudest mode alone follows.
 
     `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
     fit, even if the given one is better, and all fits in the order they were made.
@@ -219,17 +222,29 @@ def fitted_with_bouc_wen(problem: WholeModel,
     fits = list[Begun]()
     for model, what in _with_fewer_modes(problem, best.model):
         with_line, start = problem.with_bouc_wen(model)
-        for curve in ("", ", a curve"):
+        where, delay_s, changes = with_line, best.delay_s, None
+        for curve in ("", ", a curve", ", a curve behind and beside"):
             if any(is_at_noise(*each) for each in fits):
-                continue
-            where = with_line.with_curve(start) if curve else with_line
+                break
+            if curve == ", a curve":
+                where = with_line.with_curve(start)
+            elif curve:
+                where, fit = fits[-1]
+                start, delay_s, changes = _curved(fit.model), fit.delay_s, fit.density_changes
             form = f"{BOUC_WEN}{curve}{what}"
-            fit = _raced(where, Structure(form, start, best.delay_s), best, SETTINGS.steps,
-                         promise=SETTINGS.promise_before_pasts)
+            fit = _raced(where, Structure(form, start, delay_s), best, SETTINGS.steps, changes,
+                         SETTINGS.promise_before_pasts)
             tried.append((form, fit))
             fits.append(with_pasts(form, where, fit))
     leader = best_of([fit for _, fit in fits])
     return next(where for where, fit in fits if fit is leader), leader, tried
+
+
+def _curved(model: StageModel) -> StageModel:
+    """Return a model whose Bouc-Wen hysteresis may stand beside a curve of the voltage."""
+    return replace(model, effects=tuple(
+        CurvedBoucWenHysteresis(**effect.parameters()) if isinstance(effect, BoucWenHysteresis)
+        else effect for effect in model.effects))
 
 
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
@@ -620,12 +635,15 @@ def is_better(fit: WholeFit, other: WholeFit) -> bool:
 
 
 def is_pointless(problem: WholeModel, before: WholeFit, best: WholeFit) -> bool:
-    """Return whether a change gained little beside a residual that is clearly not noise.
+    """Return whether a change that makes no model simpler reduced the residuals only little.
 
-    The model then lacks something that no further change of its structure replaces.
+    Beside a residual that is clearly not noise, the model then lacks something that no further
+    change of its structure replaces.
     """
     is_wrong = problem.over_noise(best).max() > SETTINGS.wrong
-    return is_wrong and best.evidence_over(before) < SETTINGS.worthwhile * best.counts.sum()
+    least = SETTINGS.worthwhile if is_wrong else SETTINGS.worthwhile_near_noise
+    return (is_wrong or best.numbers >= before.numbers) and (
+        best.evidence_over(before) < least * best.counts.sum())
 
 
 def has_modes_in_band(problem: WholeModel, fit: WholeFit) -> bool:

@@ -310,19 +310,23 @@ class WholeModel:
     def with_bouc_wen(self, model: StageModel) -> tuple["WholeModel", StageModel]:
         """Return the problem with a line, and a model with a Bouc-Wen hysteresis in front of it.
 
-        All recordings begin at rest: loops of another shape are no guide to their pasts.
+        All recordings begin at rest, or after a cycle over the whole range: loops of another shape
+        are no guide to their pasts.
         """
         problem = self.with_line()
-        start = with_bouc_wen(model, problem.given.hysteresis,
-                              [part.after(()) for part in self._dataset.simulated])
-        return problem.with_hysteresis(start, WIDE_PRIOR, ()), start
+        line = problem.given.hysteresis
+        found = [(*with_bouc_wen(model, line, [
+            part.after(past_v) for part in self._dataset.simulated]), past_v)
+            for past_v in ((), (line.voltage_max_v, line.voltage_min_v))]
+        _, start, past_v = min(found, key=lambda entry: entry[0])
+        return problem.with_hysteresis(start, WIDE_PRIOR, past_v), start
 
     def with_curve(self, model: StageModel) -> "WholeModel":
-        """Return the problem with a curve in place of the line of a model, and without pasts."""
+        """Return the problem of `with_bouc_wen` with a curve in place of the line of a model."""
         line = model.hysteresis
         return self.with_hysteresis(replace(model, hysteresis=PreisachModel.line(
             line.voltage_min_v, line.voltage_max_v, line.gain_um_per_v()[0], line.offset_um,
-            CURVE_CELLS)), WIDE_PRIOR, ())
+            CURVE_CELLS)), WIDE_PRIOR, self._dataset.simulated[0].past_v)
 
     def about_here(self) -> None:
         """Make the next fit recompute how the pieces of the hysteresis change the displacement.

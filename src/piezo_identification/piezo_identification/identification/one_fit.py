@@ -58,7 +58,7 @@ LOOPS = 2
 """Largest number of times that the loops are estimated again at the end; a further time only if the
 last one reduced the error."""
 
-ALIKE = 2
+ALIKE = 1
 """Number of further starts with which the loops are estimated again besides one with another
 amplifier."""
 

@@ -16,6 +16,7 @@ from piezo_identification.fitting.structure_search import (
     has_amplifier,
     is_at_noise,
     is_better,
+    is_pointless,
     promising,
     searched,
     starts,
@@ -293,6 +294,8 @@ def test_numbers_that_cannot_be_simulated_are_worse_than_all_others(
 
 
 class FitOfEvidence(SimpleNamespace):
+    counts = np.full(3, 1000.0)
+
     def evidence_over(self, other):
         return self.evidence - other.evidence
 
@@ -351,6 +354,18 @@ def test_a_structure_that_one_step_leaves_far_behind_gets_no_other(wrong, behind
                              fastest_over_noise=lambda fit: 1.0), best)
     assert begun_with and set(begun_with) == {1}
     assert bool(continued) == is_continued
+
+
+@pytest.mark.parametrize("over_noise, numbers, gain, ends", [
+    (1.0, 2, 5.0, True), (1.0, 2, 7.0, False), (1.0, 0, 1.0, False),
+    (5.0, 2, 29.0, True), (5.0, 0, 29.0, True), (5.0, 2, 31.0, False)])
+def test_a_search_ends_when_a_change_reduces_the_residuals_only_little(
+        over_noise, numbers, gain, ends):
+    """By 0.2 % near the noise, unless the model became simpler, and by 1 % farther above it."""
+    problem = SimpleNamespace(over_noise=lambda fit: np.array([over_noise]))
+    before, best = (FitOfEvidence(numbers=number, evidence=evidence)
+                    for number, evidence in ((1, 0.0), (numbers, gain)))
+    assert is_pointless(problem, before, best) == ends
 
 
 @pytest.mark.parametrize("relaxation_v, why", [

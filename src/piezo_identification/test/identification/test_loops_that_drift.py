@@ -11,6 +11,7 @@ from piezo_identification import identify
 from piezo_identification.identification.estimated_loops import DensityOptions
 from piezo_identification.prediction import unseen_errors
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.model_summary import main_results
 from piezo_recorder import recording_of
 
@@ -29,15 +30,20 @@ def curve_um(acting_v):
     return GAIN_UM_PER_V * (acting_v + 0.002 * (acting_v - 50.0) ** 2)
 
 
-def measured(voltage_v, seed, taken_v=0.0, saturation_v=SATURATION_V):
-    """Solve the equation of Dahl, dz = (saturation - z) dv / relaxation, row by row; add noise."""
+def measured(voltage_v, seed, taken_v=0.0, saturation_v=SATURATION_V, is_beside=False):
+    """Solve the equation of Dahl, dz = (saturation - z) dv / relaxation, row by row; add noise.
+
+    The curve acts on the remaining voltage, or the hysteresis is beside it.
+    """
     taken_v = [taken_v]
     for way_v in np.diff(voltage_v).tolist():
         end_v = math.copysign(saturation_v, way_v)
         taken_v.append(end_v + (taken_v[-1] - end_v) * math.exp(-abs(way_v) / RELAXATION_V))
     noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(voltage_v.size)
+    moved_um = (curve_um(voltage_v) - GAIN_UM_PER_V * np.array(taken_v) if is_beside
+                else curve_um(voltage_v - taken_v))
     return recording_of({"time_s": np.arange(voltage_v.size) * PERIOD_S, "voltage_v": voltage_v,
-                         "displacement_um": curve_um(voltage_v - taken_v) + noise_um})
+                         "displacement_um": moved_um + noise_um})
 
 
 def identified_from_loops(saturation_v=SATURATION_V, note=lambda _: None):
@@ -92,3 +98,18 @@ def test_the_summary_does_not_say_that_there_is_no_hysteresis(identified):
     assert "with a hysteresis in front of a curve" in str(main_results(identified))
     assert identified.model.has_hysteresis
     assert not replace(identified.model, effects=()).has_hysteresis
+
+
+def test_a_hysteresis_beside_a_curve_is_found_after_cycles_that_were_not_recorded():
+    turns_v = [0.0, 100.0, 0.0, *np.ravel([(100.0 - size, size) for size in range(6, 48, 6)]),
+               0.0, 100.0, 30.0, 100.0, 60.0, 100.0, 0.0]
+    loops = measured(turning(turns_v, 1500), 1, -SATURATION_V, is_beside=True)
+    model = identify(hysteresis=loops, density=DensityOptions(20, 1e-10, 1e-10)).model
+    [effect] = model.effects
+    assert isinstance(effect, CurvedBoucWenHysteresis)
+    assert effect.relaxation_v == pytest.approx(RELAXATION_V, rel=0.02)
+    assert effect.curvature_per_v == pytest.approx(0.002 / (1.0 - 0.002 * 100.0), rel=0.1)
+    unseen = measured(turning([0.0, 85.0, 20.0, 70.0, 40.0, 95.0, 10.0, 0.0], 900), 2,
+                      -SATURATION_V, is_beside=True)
+    noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
+    assert unseen_errors(model, unseen)["e_y_percent"] < 1.5 * noise_percent

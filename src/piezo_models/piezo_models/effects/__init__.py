@@ -13,6 +13,7 @@ from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import (
     Effect,
@@ -52,6 +53,7 @@ EFFECTS = (
     VoltageClipping,
     Hysteresis,
     BoucWenHysteresis,
+    CurvedBoucWenHysteresis,
     RateDependentHysteresis,
     AmplifierLag,
     SecondOrderAmplifier,

@@ -6,6 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.effect import Extent
 
 PERIOD_S = 1e-3
@@ -59,3 +60,20 @@ def test_the_signal_behind_rises_with_the_voltage_unless_it_is_called_impossible
         moves_v = np.diff(effect.apply(wave_v, PERIOD_S))
         assert (effect.impossible(EXTENT) is None) == is_possible
         assert np.all(moves_v * np.diff(wave_v) >= 0.0) == is_possible
+
+
+def test_a_curve_beside_it_adds_to_the_voltage_and_leaves_the_hysteresis_as_it_is():
+    voltage_v, curvature_per_v = turns(3, 40), 4e-3
+    plain, curved = BoucWenHysteresis(1.0, 4.0, 0.5, 1.3), CurvedBoucWenHysteresis(
+        1.0, 4.0, 0.5, 1.3, curvature_per_v)
+    added_v = curved.apply(voltage_v, PERIOD_S) - plain.apply(voltage_v, PERIOD_S)
+    assert added_v == pytest.approx(curvature_per_v * voltage_v**2)
+    assert curved.memory_after(voltage_v) == plain.memory_after(voltage_v)
+
+
+@pytest.mark.parametrize("curvature_per_v, is_possible", [(0.01, True), (0.02, False)])
+def test_a_curve_beside_it_that_would_move_the_stage_back_is_impossible(
+        curvature_per_v, is_possible):
+    # At -20 V, the slope of the curve is 1 - 40 c, and the hysteresis takes 0.5 of it.
+    effect = CurvedBoucWenHysteresis(1.0, 4.0, 1.0, curvature_per_v=curvature_per_v)
+    assert (effect.impossible(EXTENT) is None) == is_possible

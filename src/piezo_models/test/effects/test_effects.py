@@ -28,6 +28,7 @@ from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.effect import PLACES, parameter
 from piezo_models.effects.gain_drift import GainDrift
@@ -67,6 +68,7 @@ EXAMPLES = (
     VoltageClipping(-5.0, 90.0, 1.0),
     Hysteresis((0.05, 0.1), (0.02, -0.01), (0.1, 0.5), 10.0, 9.0),
     BoucWenHysteresis(1.0, 4.0, 0.5),
+    CurvedBoucWenHysteresis(1.0, 4.0, 0.5, curvature_per_v=1e-3),
     RateDependentHysteresis(0.05, 100.0, 0.3, 1e-3),
     AmplifierLag(4e-5),
     SecondOrderAmplifier(4e-5, 0.7),
@@ -267,7 +269,8 @@ def test_only_loops_that_drift_remember_voltages_of_long_ago():
     earlier_v, signal = wave(300, 2), wave(200, 3)
     remembering = {effect: past for effect in EXAMPLES if effect.place == "voltage"
                    and (past := effect.memory_after(earlier_v)) is not None}
-    assert {effect.name for effect in remembering} == {"bouc_wen_hysteresis"}
+    assert {effect.name for effect in remembering} == {
+        "bouc_wen_hysteresis", "curved_bouc_wen_hysteresis"}
     for effect, past in remembering.items():
         behind = effect.apply(np.append(earlier_v, signal), PERIOD_S)[earlier_v.size :]
         np.testing.assert_array_equal(effect.advance(signal, PERIOD_S, past)[0], behind)
