@@ -41,21 +41,15 @@ MOST_ROWS = 20_000
 
 
 def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
-                       hysteresis: Sequence[AxesRecording], levels: int,
-                       near: Sequence[DensityEstimate | None] = (),
-                       ) -> tuple[tuple[Actuator, ...], tuple[DensityEstimate | None, ...]]:
+                       hysteresis: Sequence[AxesRecording], levels: int) -> tuple[Actuator, ...]:
     """Estimate hysteresis and creep of each axis, with all other parts of a model given.
 
     The model has actuators, or modes that were fitted without them. The hysteresis has two cells
-    between levels of the voltage, of which there are at most `levels`. Earlier estimates of the
-    densities, with a model that explained less, may be given. The actuators have no hysteresis
-    where a line is as good; the density is None where an axis does not move.
+    between levels of the voltage, of which there are at most `levels`. The actuators have no
+    hysteresis where a line is as good or an axis does not move.
     """
-    found = [_estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels,
-                        near[axis] if near else None)
-             for axis in range(len(model.axes))]
-    actuators, densities = zip(*found, strict=True)
-    return actuators, densities
+    return tuple(_estimated(model, axis, _moving(axis, creep), _moving(axis, hysteresis), levels)
+                 for axis in range(len(model.axes)))
 
 
 def _moving(axis: int, recordings: Sequence[AxesRecording]) -> list[AxesRecording]:
@@ -63,10 +57,9 @@ def _moving(axis: int, recordings: Sequence[AxesRecording]) -> list[AxesRecordin
 
 
 def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
-               loops: Sequence[AxesRecording], levels: int, near: DensityEstimate | None,
-               ) -> tuple[Actuator, DensityEstimate | None]:
+               loops: Sequence[AxesRecording], levels: int) -> Actuator:
     if not loops or not steps:
-        return Actuator(), None
+        return Actuator()
     ringing = None
     if not model.actuators:
         ringing = _ringing(model)
@@ -76,12 +69,10 @@ def _estimated(model: CoupledModel, axis: int, steps: Sequence[AxesRecording],
         model = with_actuator(model, axis, Actuator(rough.model()))
     creep = _creep([_alone(model, axis, each) for each in steps], ringing)
     model = with_actuator(model, axis, replace(model.actuators[axis], creep=creep))
-    if near is not None and near.plays is None:
-        near = None  # cells of the first round are too few to choose by
-    density = _density(model, axis, loops, levels, near)
+    density = _density(model, axis, loops, levels)
     alone = [_alone(model, axis, each) for each in dict.fromkeys((*steps, *loops))]
     start = StageModel(density.model(), creep, ElectricVibrationDynamics())
-    return fitted_alone(start, alone, density.is_line), density
+    return fitted_alone(start, alone, density.is_line)
 
 
 def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bool) -> Actuator:
@@ -123,11 +114,10 @@ def _creep(steps: Sequence[Recording],
 
 
 def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], levels: int,
-             near: DensityEstimate | None = None, smoothing: float | None = None,
-             ) -> DensityEstimate:
+             smoothing: float | None = None) -> DensityEstimate:
     return estimate_density(
         [_alone(model, axis, each) for each in loops], model.actuators[axis].creep,
-        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing, near=near,
+        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing,
         most_rows=MOST_ROWS)
 
 

@@ -15,7 +15,6 @@ from piezo_identification.axes.modal_model import coupled_model
 from piezo_identification.axes.modes_fit import Note, Progress, fitted_modes, without_slow_poles
 from piezo_identification.axes.predict_axes import predict_several_axes
 from piezo_identification.axes.spectra import Spectrum, spectra_of_levels
-from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
 
@@ -59,12 +58,11 @@ def start_of_actuators(
     steps = by_experiment["creep"] or slow
     model = coupled_model(without_slow_poles(fit.numbers, spectra), late, fast)
     found: list[StartedStage] = []
-    densities: Sequence[DensityEstimate | None] = ()
     for number, levels in enumerate(LEVELS):
         if number and not has_time_for(SECOND_ESTIMATE, FIRST):
             break
         progress(f"hysteresis and creep, estimate {number + 1}", 0.6 + 0.1 * number)
-        actuators, densities = estimate_actuators(model, steps, loops, levels, densities)
+        actuators = estimate_actuators(model, steps, loops, levels)
         if not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators):
             return None
         found.append(_behind(replace(model, actuators=actuators), fast, pairs))

@@ -203,8 +203,8 @@ def _as_cycled(
 
 
 def new_loops(
-    recordings: Mapping[str, Any], options: DensityOptions, near: DensityEstimate | None,
-    model: StageModel, read_late_s: Mapping[str, float], straight: Collection[str] = (),
+    recordings: Mapping[str, Any], options: DensityOptions, model: StageModel,
+    read_late_s: Mapping[str, float], straight: Collection[str] = (),
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
@@ -213,7 +213,7 @@ def new_loops(
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
     after the voltage; the voltages of those in `straight` are straight between their rows, not
-    held. `near` is an estimate from the same recordings with nearly the same creep and dynamics.
+    held.
     """
     given = with_straight_voltages(recordings, straight)
     simulated = [
@@ -222,7 +222,7 @@ def new_loops(
         for name, each in zip(keys_of_kind(recordings, kind), of_kind(given, kind), strict=True)
         if isinstance(each, Recording)]
     return density_of_parts([each.part for each in simulated], _weighed(
-        list(map(_loops_again, simulated))), near=near, **options.keywords())
+        list(map(_loops_again, simulated))), **options.keywords())
 
 
 def _weighed(segments: Sequence[tuple[HysteresisSegment, float]]) -> list[HysteresisSegment]:

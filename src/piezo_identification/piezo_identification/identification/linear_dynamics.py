@@ -395,8 +395,6 @@ class FittedModel:
     """Standard deviations of creep and dynamics, as far as they were estimated."""
     visited: NDArray[np.bool_]
     """Cells of the Preisach plane that the data determine, (n, n)."""
-    loops: DensityEstimate | None = None
-    """The estimate of its hysteresis, near which the next one is sought."""
 
 
 def fitted_model(linear: LinearDynamics, density: DensityEstimate,
@@ -409,4 +407,4 @@ def fitted_model(linear: LinearDynamics, density: DensityEstimate,
     uncertainties: dict[str, Any] = dict(linear.uncertainties)
     if linear.all_effects:
         uncertainties["effects"] = list(linear.effect_deviations)
-    return FittedModel(model, uncertainties, density.visited, density)
+    return FittedModel(model, uncertainties, density.visited)

@@ -100,8 +100,7 @@ class _Search:
     given: FittedModel
     read_late_s: Mapping[str, float]
     new_loops: Callable[
-        [DensityEstimate | None, StageModel, Mapping[str, float], Collection[str]],
-        DensityEstimate] | None
+        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None
     may_be_straight: Collection[str]
     """Recordings whose voltage may be straight between their rows."""
     is_asked_for: Callable[[StageModel], bool]
@@ -116,8 +115,7 @@ class _Search:
         renewed = list[DensityEstimate]()
 
         def with_new_loops(fit: WholeFit) -> WholeModel:
-            renewed.append(self._newly_estimated(
-                renewed[-1] if renewed else self.given.loops, fit, self.read_late_s, ()))
+            renewed.append(self._newly_estimated(fit, self.read_late_s, ()))
             return self.problem.with_hysteresis(
                 replace(fit.delayed_model, hysteresis=renewed[-1].model()), WIDE_PRIOR)
 
@@ -127,7 +125,7 @@ class _Search:
         self.tried.extend(tried)
         states = [_State(
             self.given if problem is self.problem else replace(
-                self.given, visited=renewed[-1].visited, loops=renewed[-1]),
+                self.given, visited=renewed[-1].visited),
             fit, problem, self.read_late_s) for problem, fit in found]
         if rival is not None and not is_promising(_best_of(states).best, rival):
             return _best_of(states)
@@ -356,8 +354,7 @@ class _Search:
         self.report("hysteresis, given the fit", fraction)
         with while_time_lasts("second estimate of the hysteresis, given the fit"):
             check_cancelled()
-            density = self._newly_estimated(
-                before.fitted.loops, before.best, before.read_late_s, before.straight)
+            density = self._newly_estimated(before.best, before.read_late_s, before.straight)
             model = replace(before.best.delayed_model, hysteresis=density.model())
             problem = before.problem.with_hysteresis(model, width)
             again = problem.fit(model, before.best.delay_s, SETTINGS.steps)
@@ -365,15 +362,14 @@ class _Search:
             if is_better(again, before.best):
                 before.best.errors.forget_pieces()
                 return replace(before, best=again, problem=problem, fitted=replace(
-                    before.fitted, visited=density.visited, loops=density))
+                    before.fitted, visited=density.visited))
             again.errors.forget_pieces()
         return before
 
-    def _newly_estimated(self, near: DensityEstimate | None, fit: WholeFit,
-                         read_late_s: Mapping[str, float],
+    def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],
                          straight: Collection[str]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(near, fit.delayed_model, read_later(read_late_s, fit), straight)
+        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight)
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -406,8 +402,7 @@ def _best_of(states: Sequence[_State]) -> _State:
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
     new_loops: Callable[
-        [DensityEstimate | None, StageModel, Mapping[str, float], Collection[str]],
-        DensityEstimate] | None,
+        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> FittedTogether:
@@ -415,9 +410,9 @@ def fitted_together(
 
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
-    `new_loops` estimates the hysteresis again near an earlier estimate, with a fitted model, the
-    time in s by which each recording reads its rows late, and the recordings whose voltage is
-    straight between their rows. It is None if no recording of loops was given.
+    `new_loops` estimates the hysteresis again with a fitted model, the time in s by which each
+    recording reads its rows late, and the recordings whose voltage is straight between their rows.
+    It is None if no recording of loops was given.
     """
     samples = {name: data for name, data in recordings.items()
                if not isinstance(data, FrequencyResponse)}

@@ -68,7 +68,7 @@ def test_where_no_loops_are_shown_there_is_no_hysteresis(monkeypatch):
     loops = AxesRecording("loops", ("x", "y"), PERIOD_S / 4.0, voltage_v,
                           moved_um + NOISE_UM * rng.normal(size=voltage_v.shape))
     monkeypatch.setattr(slow_creep, "CELLS", 8)
-    actuators, _ = estimate_actuators(model, [loops], [loops], 6)
+    actuators = estimate_actuators(model, [loops], [loops], 6)
     assert not any(each.hysteresis or each.creep.poles_rad_per_s for each in actuators)
 
 

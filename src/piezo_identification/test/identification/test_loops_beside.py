@@ -33,7 +33,7 @@ def estimated_anew(plant, stage, recording):
         density_um_per_v2=density * (1.0 + np.linspace(-0.1, 0.1, len(density))[:, None])))
     near = estimate_hysteresis_of(
         recordings, LinearDynamics(stage.creep, stage.dynamics, effects=stage.effects), ASKED)
-    again = new_loops(recordings, ASKED, near, bent, {"hysteresis": 0.0})
+    again = new_loops(recordings, ASKED, bent, {"hysteresis": 0.0})
     voltage_v = played(recordings["hysteresis"]).voltage_v
 
     def error_um(hysteresis):
@@ -76,7 +76,7 @@ def test_small_loops_are_found_in_the_recording_of_the_dynamics(plant, play):
     near = estimate_hysteresis_of(loops, LinearDynamics(plant.creep, plant.dynamics), ASKED)
     model = replace(plant, hysteresis=near.model())
     late_s = dict.fromkeys(recordings, 0.0)
-    alone, beside = (new_loops(each, ASKED, near, model, late_s) for each in (loops, recordings))
+    alone, beside = (new_loops(each, ASKED, model, late_s) for each in (loops, recordings))
 
     def error_um(estimate):
         errors_um = estimate.model().simulate(small_v) - plant.hysteresis.simulate(small_v)

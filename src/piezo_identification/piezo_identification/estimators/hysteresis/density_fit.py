@@ -52,8 +52,7 @@ def estimate_density(
     recording: Recordings, creep: CreepDynamics, dynamics: ElectricVibrationDynamics,
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    delay_s: float = 0.0, most_levels: int = LEVELS, near: DensityEstimate | None = None,
-    most_rows: int = MOST_ROWS,
+    delay_s: float = 0.0, most_levels: int = LEVELS, most_rows: int = MOST_ROWS,
 ) -> DensityEstimate:
     """Estimate the Preisach density on a uniform grid over the voltages played.
 
@@ -77,9 +76,6 @@ def estimate_density(
         Weights of `density_of_segments`; by default, the smoothing is chosen on held-out branches.
     delay_s : float
         Delay of the measurement in addition to the dynamics.
-    near : DensityEstimate, optional
-        Estimate from the same recordings with nearly the same dynamics, whose weights are the
-        starting point of the choice.
     most_rows : int
         Largest number of samples that are fitted, spaced evenly.
 
@@ -114,14 +110,14 @@ def estimate_density(
             raise ValueError(f"{path}: the displacement falls where the voltage rises: "
                              "reverse the sign of one")
     return density_of_parts(parts, segments, level_count, cells_per_level, smoothing_weight,
-                            translation_weight, most_levels, near, most_rows)
+                            translation_weight, most_levels, most_rows)
 
 
 def density_of_parts(
     parts: Sequence[Recording], segments: Sequence[HysteresisSegment],
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    most_levels: int = LEVELS, near: DensityEstimate | None = None, most_rows: int = MOST_ROWS,
+    most_levels: int = LEVELS, most_rows: int = MOST_ROWS,
 ) -> DensityEstimate:
     """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
@@ -136,7 +132,7 @@ def density_of_parts(
         level_count = max(min(passed, most_levels), FEWEST_LEVELS)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
-        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line, near)
+        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line)
 
 
 def _thinned(segments: Sequence[HysteresisSegment], most_rows: int) -> list[HysteresisSegment]:

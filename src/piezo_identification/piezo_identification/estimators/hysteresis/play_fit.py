@@ -90,23 +90,20 @@ class PlaySum:
         return np.concatenate([everett_um, np.diff(reversible_um) + narrow_um])
 
 
-def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
-              near: PlaySum | None = None) -> PlaySum | None:
+def fit_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray) -> PlaySum | None:
     """Fit a sum of plays to loops; return None if there are too few samples.
 
     For any two curves, the best weights follow from a non-negative linear regression, so that only
     the curves are sought (Golub and Pereyra 1973). Each segment has its own offsets. The levels, (n
-    + 1,), are uniform and increasing; their ends define the range. The curves of a fit to nearly
-    the same loops, `near`, are the starting point.
+    + 1,), are uniform and increasing; their ends define the range.
     """
     regression = _PlayRegression(segments, levels_v)
     if regression.count < ROWS_PER_NUMBER * (WIDTHS.size + SLOPE_KNOTS):
         return None
     straight = np.zeros(5)
     bent = least_squares(
-        regression.residual_um, straight if near is None else np.append(near.rising, near.falling),
-        regression.derivatives_um, bounds=(-MOST_BENT, MOST_BENT), x_scale=0.1, ftol=WORTHWHILE,
-        max_nfev=MOST_EVALUATIONS)
+        regression.residual_um, straight, regression.derivatives_um,
+        bounds=(-MOST_BENT, MOST_BENT), x_scale=0.1, ftol=WORTHWHILE, max_nfev=MOST_EVALUATIONS)
     curves = bent.x
     if np.sum(regression.residual_um(straight) ** 2) < LARGEST_GAIN * 2.0 * bent.cost:
         # A few loops may be compatible with many curves.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from piezo_common.arrays import FloatArray
-from piezo_common.budget import SEARCH, has_time_for, while_time_lasts
+from piezo_common.budget import has_time_for, while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
@@ -27,7 +27,6 @@ from piezo_identification.estimators.hysteresis.everett_regression import (
 from piezo_identification.estimators.hysteresis.penalties import bounded_operator
 from piezo_identification.estimators.hysteresis.play_fit import PlaySum, fit_plays
 from piezo_identification.estimators.hysteresis.smoothing_choice import (
-    SMOOTHING_WEIGHTS,
     WEIGHTS,
     PenaltyChoice,
     choose_penalties,
@@ -87,7 +86,7 @@ def smoothed_density(
 def density_of_segments(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    is_line: bool = False, near: DensityEstimate | None = None,
+    is_line: bool = False,
 ) -> DensityEstimate:
     """Density that is non-negative and as smooth as the data allow.
 
@@ -116,8 +115,6 @@ def density_of_segments(
         elsewhere, where the curvature alone would extrapolate linearly.
     is_line : bool
         True if the voltage shows only a line.
-    near : DensityEstimate, optional
-        Estimate from nearly the same segments, whose weights are the starting point of the choice.
 
     Returns
     -------
@@ -140,8 +137,7 @@ def density_of_segments(
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        choice, plays, segments, parts = _choice_for(
-            segments, levels_v, translation_weight, near)
+        choice, plays, segments, parts = _choice_for(segments, levels_v, translation_weight)
         is_fine = plays is None and (whole_plane or _many(segments, size))
         if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and not (
                 is_fine and has_time_for("a density of more cells", WEIGHTS)):
@@ -226,7 +222,6 @@ def _added(more: FloatArray, of_plays: FloatArray, mean_in_cell: FloatArray) -> 
 
 def _choice_for(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float,
-    near: DensityEstimate | None,
 ) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
 
@@ -235,28 +230,20 @@ def _choice_for(
     """
     size = levels_v.size - 1
     coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
-    first = known = choice = None
-    if near is not None and near.smoothing_weight:
-        first, known = near.smoothing_weight, near.plays
-    if known is None:
-        choice = choose_penalties(segments, coarse_v, translation, near=first)
-        if choice.is_enough:
-            return choice, None, segments, 1
-    plays = None
-    with while_time_lasts("a density about a sum of plays", WEIGHTS if choice else SEARCH):
+    choice, plays = choose_penalties(segments, coarse_v, translation), None
+    if choice.is_enough:
+        return choice, None, segments, 1
+    with while_time_lasts("a density about a sum of plays", WEIGHTS):
         check_cancelled()
-        plays = fit_plays(segments, levels_v, known)
+        plays = fit_plays(segments, levels_v)
     if plays is None:
-        return choice or choose_penalties(segments, coarse_v, translation), None, segments, 1
+        return choice, None, segments, 1
     parts = _parts_for(size, plays)
     relieved = [replace(segment, output_um=segment.output_um - _output_um(
         segment, levels_v, plays, parts)) for segment in segments]
-    if known is None and first is not None:
-        # A density that describes plays, too, has a smaller weight than one about them.
-        first = SMOOTHING_WEIGHTS[0]
     with_plays = choose_penalties(
-        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1), first)
-    if choice is None or LEAST_GAIN * with_plays.misfit < choice.misfit:
+        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1))
+    if LEAST_GAIN * with_plays.misfit < choice.misfit:
         return with_plays, plays, relieved, parts
     return choice, None, segments, 1
 

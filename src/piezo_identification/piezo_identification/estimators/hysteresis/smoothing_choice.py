@@ -86,21 +86,19 @@ def _branches(segment: HysteresisSegment) -> NDArray[np.intp]:
 
 def choose_penalties(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float = 0.0,
-    about: FloatArray | None = None, near: float | None = None,
+    about: FloatArray | None = None,
 ) -> PenaltyChoice:
     """Choose the largest weight of the curvature that predicts held-out branches as well as any.
 
     "As well as any" means that the mean over the folds is worse by no more than the standard error
     of the difference, or the random variation of a mean square. The levels are (n + 1,), and
-    `translation` is the weight of the change along the diagonal; for `about` see `Equations`. The
-    search starts from the weight chosen from nearly the same segments, `near`, if there is one.
+    `translation` is the weight of the change along the diagonal; for `about` see `Equations`.
     """
     trials = _Trials(equations_of_folds(segments, levels_v, branch_folds(segments), about))
-    if near is None and not has_time_for(FURTHER_WEIGHTS, WEIGHTS):
-        near = USUAL
     penalties = trials.best(
         Penalties(weight, translation) for weight in SMOOTHING_WEIGHTS
-    ) if near is None else trials.best_near(Penalties(near, translation))
+    ) if has_time_for(FURTHER_WEIGHTS, WEIGHTS) else trials.best_near(
+        Penalties(USUAL, translation))
     return PenaltyChoice(
         penalties, trials.forces(penalties), float(trials.misfits(penalties).sum()),
         trials.nothing_more_predicts(penalties))

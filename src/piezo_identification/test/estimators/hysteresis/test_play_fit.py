@@ -54,17 +54,6 @@ def test_plays_are_found_and_predict_loops_that_they_were_not_fitted_to(bent):
     assert np.std(error_um) < 4e-3 * np.std(truth_um)
 
 
-@pytest.mark.long
-def test_a_search_from_the_curves_of_nearly_the_same_loops_comes_to_the_same():
-    voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
-    noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)
-    exact, noisy = (segment(voltage_v, followed_um(voltage_v, 0.05) + each)
-                    for each in (0.0, noise_um))
-    afresh = fit_plays([noisy], LEVELS_V)
-    from_there = fit_plays([noisy], LEVELS_V, fit_plays([exact], LEVELS_V))
-    assert from_there.unknowns(40) == pytest.approx(afresh.unknowns(40), abs=1e-4)
-
-
 def test_derivatives_are_those_of_the_squares_of_the_best_plays():
     voltage_v = loops_v([0.0, 100.0, *np.ravel([(9.0 * k, 100.0) for k in range(1, 11)]), 0.0])
     regression = _PlayRegression([segment(voltage_v, followed_um(voltage_v, 0.2))], LEVELS_V)

@@ -9,10 +9,8 @@ import pytest
 
 from piezo_common import side_by_side
 from piezo_common.budget import Budget, spending
-from piezo_common.cancellation import checking
 from piezo_identification.estimators.hysteresis.equations import Equations, HysteresisSegment
 from piezo_identification.estimators.hysteresis.smoothed_density import (
-    density_of_segments,
     smoothed_density,
 )
 from piezo_identification.estimators.hysteresis.smoothing_choice import (
@@ -83,27 +81,6 @@ def test_without_time_to_choose_the_smoothing_is_the_usual_one(measured_um, erro
     assert (found.smoothing_weight, 2 * len(found.density_um_per_v2)) == (USUAL, LEVELS_V.size - 1)
     assert {FURTHER_WEIGHTS, "a density about a sum of plays"} <= set(budget.not_tried)
     assert error_of(found) < NOISE_UM
-
-
-@pytest.mark.long
-def test_of_the_same_loops_the_choice_is_confirmed_in_fewer_steps(measured_um):
-    size, steps = VOLTAGE_V.size, list[int]()
-    segment = HysteresisSegment(VOLTAGE_V, measured_um, np.arange(size), np.empty((size, 0)))
-
-    def found(near=None):
-        steps.append(0)
-
-        def step():
-            steps[-1] += 1
-        with checking(step):
-            return density_of_segments([segment], LEVELS_V, LEVELS, near=near)
-    first = found()
-    again = found(first)
-    # A third confirms the weight. The rest fits plays again, which other errors may have hidden.
-    assert steps[1] < 0.6 * steps[0]
-    assert again.smoothing_weight == first.smoothing_weight
-    assert again.density_um_per_v2 == pytest.approx(
-        first.density_um_per_v2, abs=1e-3 * first.density_um_per_v2.max())
 
 
 @pytest.mark.long
