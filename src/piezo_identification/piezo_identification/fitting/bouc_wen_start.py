@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Initial guesses of a Bouc-Wen hysteresis in place of that of a fitted model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.effects.bouc_wen_hysteresis import STEEPEST, BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -26,45 +26,67 @@ LEAST_TAKEN = 1e-3
 """Smallest saturation, relative to the largest possible one."""
 
 
-def with_bouc_wen(model: StageModel, line: PreisachModel,
-                  parts: Sequence[SimulatedRecording]) -> tuple[float, StageModel]:
-    """Return a model with the best Bouc-Wen hysteresis of a scan in place of its own.
+Shape = tuple[float, float, float]
+"""Relaxation relative to half the range, factor of unloading, and exponent."""
 
-    The squared residual comes first.
 
-    What the hysteresis takes from the voltage is in proportion to its saturation, so that a
-    regression gives the saturation of each shape. The square and the cube of the displacement are
-    regressors, too: a curve would otherwise distort the shape. Behind the Bouc-Wen hysteresis,
-    `line` takes the place of the loops. Each recording counts as much as the others: a few steps
-    show no shape.
+def with_bouc_wen(model: StageModel, line: PreisachModel, parts: Sequence[SimulatedRecording],
+                  pasts_v: Sequence[PastVoltages]) -> tuple[StageModel, PastVoltages]:
+    """Return a model with the best Bouc-Wen hysteresis of a scan in place of its own, and its past.
+
+    Behind the Bouc-Wen hysteresis, `line` takes the place of the loops. The past is the one of
+    `pasts_v` after which hystereses by Dahl's equation explain all recordings best.
     """
     ahead = tuple(effect for effect in model.effects if effect.place == "voltage")
     behind = tuple(effect for effect in model.effects if effect.place != "voltage")
     bare = replace(model, hysteresis=line, effects=(*ahead, *behind))
-    bare_parts = [part.with_model(bare) for part in parts]
-    simulated_um = [part.simulate() for part in bare_parts]
-    low_um, high_um = line.output_range_um
-    bends = [_joined(bare_parts, [
-        ((each - low_um) / (high_um - low_um) - 0.5) ** power for each in simulated_um])
-        for power in (2, 3)]
-    without_um = _joined(bare_parts, simulated_um)
-    measured_um = _joined(bare_parts, [part.measured_um for part in bare_parts])
-    half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
-    found = []
-    for relaxation, unloading, exponent in product(RELAXATIONS, UNLOADINGS, EXPONENTS):
-        relaxation_v = half_v * relaxation
+    scans = {past_v: _Scan(bare, [part.after(past_v).with_model(bare) for part in parts])
+             for past_v in pasts_v}
+    past_v = min(scans, key=lambda past_v: scans[past_v].best(
+        product(RELAXATIONS, (1.0,), (1.0,)))[0])
+    _, gain, loops = scans[past_v].best(product(RELAXATIONS, UNLOADINGS, EXPONENTS))
+    return replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
+                   effects=(*ahead, loops, *behind)), past_v
+
+
+class _Scan:
+    """Regressions of recordings on what Bouc-Wen hystereses of several shapes take.
+
+    What the hysteresis takes from the voltage is in proportion to its saturation, so that a
+    regression gives the saturation of each shape. The square and the cube of the displacement are
+    regressors, too: a curve would otherwise distort the shape. Each recording counts as much as the
+    others: a few steps show no shape.
+    """
+
+    def __init__(self, bare: StageModel, parts: Sequence[SimulatedRecording]) -> None:
+        line = bare.hysteresis
+        self._parts = parts
+        self._half_v = 0.5 * (line.voltage_max_v - line.voltage_min_v)
+        simulated_um = [part.simulate() for part in parts]
+        low_um, high_um = line.output_range_um
+        self._bends = [_joined(parts, [
+            ((each - low_um) / (high_um - low_um) - 0.5) ** power for each in simulated_um])
+            for power in (2, 3)]
+        self._without_um = _joined(parts, simulated_um)
+        self._measured_um = _joined(parts, [part.measured_um for part in parts])
+
+    def best(self, shapes: Iterable[Shape]) -> tuple[float, float, BoucWenHysteresis]:
+        """Return the least squared residual, the gain of the line, and the hysteresis."""
+        return min(map(self._fitted, shapes), key=lambda entry: entry[0])
+
+    def _fitted(self, shape: Shape) -> tuple[float, float, BoucWenHysteresis]:
+        relaxation, unloading, exponent = shape
+        relaxation_v = self._half_v * relaxation
         most_v = STEEPEST * relaxation_v / (1.0 + unloading)
         loops = BoucWenHysteresis(most_v, relaxation_v, unloading, exponent)
-        taken_um = without_um - _joined(
-            bare_parts, [part.simulate((loops,)) for part in bare_parts])
-        gain, lost, *_ = _regression([without_um, -taken_um, *bends], measured_um)[0]
+        taken_um = self._without_um - _joined(
+            self._parts, [part.simulate((loops,)) for part in self._parts])
+        gain, lost, *_ = _regression(
+            [self._without_um, -taken_um, *self._bends], self._measured_um)[0]
         taken = float(np.clip(lost / gain, LEAST_TAKEN, 1.0)) if gain > 0.0 else LEAST_TAKEN
         (gain, *_), squares = _regression(
-            [without_um - taken * taken_um, *bends], measured_um)
-        found.append((squares, float(gain), replace(loops, saturation_v=taken * most_v)))
-    squares, gain, loops = min(found, key=lambda entry: entry[0])
-    return squares, replace(bare, hysteresis=line.scaled(gain) if gain > 0.0 else line,
-                            effects=(*ahead, loops, *behind))
+            [self._without_um - taken * taken_um, *self._bends], self._measured_um)
+        return squares, float(gain), replace(loops, saturation_v=taken * most_v)
 
 
 def _regression(columns: Sequence[FloatArray], target: FloatArray) -> tuple[FloatArray, float]:

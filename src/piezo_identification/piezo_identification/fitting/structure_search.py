@@ -127,7 +127,7 @@ class Structure:
     delay_s: float | None
 
     is_far: bool = False
-    """True if its values are far from the optimum: it then gets as many steps as a start."""
+    """True if its values are far from the optimum: it then gets more steps before it is judged."""
 
 
 def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
@@ -353,7 +353,8 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     is_wrong = problem.fastest_over_noise(best) > SETTINGS.wrong
 
     def fit(structure: Structure) -> None:
-        steps = SETTINGS.steps if is_wrong or structure.is_far else SETTINGS.screening_steps
+        steps = (SETTINGS.steps if is_wrong else SETTINGS.followed_steps if structure.is_far
+                 else SETTINGS.screening_steps)
         screened.append((structure.change, _raced(
             problem, structure, best, steps, best.density_changes)))
 

@@ -315,10 +315,8 @@ class WholeModel:
         """
         problem = self.with_line()
         line = problem.given.hysteresis
-        found = [(*with_bouc_wen(model, line, [
-            part.after(past_v) for part in self._dataset.simulated]), past_v)
-            for past_v in ((), (line.voltage_max_v, line.voltage_min_v))]
-        _, start, past_v = min(found, key=lambda entry: entry[0])
+        start, past_v = with_bouc_wen(model, line, self._dataset.simulated, (
+            (), (line.voltage_max_v, line.voltage_min_v)))
         return problem.with_hysteresis(start, WIDE_PRIOR, past_v), start
 
     def with_curve(self, model: StageModel) -> "WholeModel":
