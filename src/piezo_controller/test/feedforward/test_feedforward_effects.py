@@ -19,6 +19,7 @@ from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.converter_steps import SensorSteps, VoltageSteps
 from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.creep import Creep
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.gain_drift import GainDrift
 from piezo_models.effects.hysteresis import Hysteresis
@@ -56,6 +57,7 @@ COMPENSATED = [
     (Stiffening(0.3, 0.3, 0.3, 50.0, 50.0, 2846.0, 0.68), 1e-6), (Backlash(0.05), 5e-3),
     (Hysteresis((0.05, 0.1), (0.02, -0.02), (0.0, 0.2), 50.0, 50.0), 1e-6),
     (BoucWenHysteresis(4.0, 15.0, 0.5), 1e-3),
+    (CurvedBoucWenHysteresis(4.0, 15.0, 0.5, curvature_per_v=1e-3), 1e-3),
     (AmplitudeDamping(0.02, 0.3, 50.0, 2846.0, 0.68), 1e-2),
     (VoltageSteps(1.0, 1e-3, 0.0), 2e-3), (SensorSteps(1.0, 1e-3, 0.0), 2e-3),
 ]

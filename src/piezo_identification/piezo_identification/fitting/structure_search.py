@@ -191,8 +191,13 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     return [(where, fit) for where, fit in found if fit is not before or fit is best], tried
 
 
-def fitted_with_bouc_wen(problem: WholeModel,
-                         best: WholeFit) -> tuple[WholeModel, WholeFit, list[Tried]]:
+FORMS = ("", ", a curve", ", a curve behind and beside")
+"""Forms of a Bouc-Wen hysteresis: in front of a line or a curve, or beside one, too."""
+
+
+def fitted_with_bouc_wen(
+    problem: WholeModel, best: WholeFit, forms: Sequence[str] = FORMS,
+) -> tuple[WholeModel, WholeFit, list[Tried]]:
     """Fit a Bouc-Wen hysteresis in place of that of a fitted model.
 
     No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
@@ -200,7 +205,8 @@ def fitted_with_bouc_wen(problem: WholeModel,
     the recordings are sought with the fitted equation until that no longer helps. Modes that stand
     for errors of the loops would hide their shape, so a start with the loudest mode alone follows.
 
-    `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
+    `best` is a fit of the given problem, and `forms` are the first ones of `FORMS`. Return the
+    problem of the best fit with the equation, that
     fit, even if the given one is better, and all fits in the order they were made.
     """
     tried = list[Tried]()
@@ -223,12 +229,12 @@ def fitted_with_bouc_wen(problem: WholeModel,
     for model, what in _with_fewer_modes(problem, best.model):
         with_line, start = problem.with_bouc_wen(model)
         where, delay_s, changes = with_line, best.delay_s, None
-        for curve in ("", ", a curve", ", a curve behind and beside"):
+        for curve in forms:
             if any(is_at_noise(*each) for each in fits):
                 break
-            if curve == ", a curve":
+            if curve == FORMS[1]:
                 where = with_line.with_curve(start)
-            elif curve:
+            elif curve == FORMS[2]:
                 where, fit = fits[-1]
                 start, delay_s, changes = _curved(fit.model), fit.delay_s, fit.density_changes
             form = f"{BOUC_WEN}{curve}{what}"

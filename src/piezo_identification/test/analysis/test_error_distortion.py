@@ -68,7 +68,8 @@ def test_a_linear_cause_leaves_no_distortion_and_excludes_what_distorts(plant, r
     assert "the cause is linear" in found.sentence()
     excluded = excluded_by_distortion([part], list(known_effects().values()))
     assert set(excluded) == {
-        "amplitude_damping", "backlash", "bouc_wen_hysteresis", "hysteresis", "hysteretic_spring",
+        "amplitude_damping", "backlash", "bouc_wen_hysteresis", "curved_bouc_wen_hysteresis",
+        "hysteresis", "hysteretic_spring",
         "rate_dependent_hysteresis", "slew_limit",
         "stiffening", "sensor_nonlinearity", "voltage_clipping"}
 

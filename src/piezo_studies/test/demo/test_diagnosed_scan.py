@@ -20,7 +20,7 @@ def drawn(tmp_path_factory, picture_faults):
     directory, scans = tmp_path_factory.mktemp("scan"), []
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(xy_stage, "axes_experiments", lambda *_: orthogonal_multisines(
-            xy_stage.LIMITS, period_s=0.1, highest_hz=1500.0))
+            xy_stage.LIMITS, period_s=0.1, highest_hz=2500.0))
         # Which of all effects is named is asked in the tests of the diagnosis.
         patched.setattr(diagnosed_errors, "all_effects", lambda axes: [
             AxisEffect("cross_coupling", *pair) for pair in permutations(axes)])
