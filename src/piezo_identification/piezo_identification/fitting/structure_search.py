@@ -206,8 +206,8 @@ def fitted_with_bouc_wen(
     for errors of the loops would hide their shape, so a start with the loudest mode alone follows.
 
     `best` is a fit of the given problem, and `forms` are the first ones of `FORMS`. Return the
-    problem of the best fit with the equation, that
-    fit, even if the given one is better, and all fits in the order they were made.
+    problem of the best fit with the equation, that fit, even if the given one is better, and all
+    fits in the order they were made.
     """
     tried = list[Tried]()
 

@@ -146,11 +146,10 @@ def test_a_start_near_the_noise_has_no_rival_with_the_same_amplifier(monkeypatch
 def test_the_start_of_the_separate_steps_has_a_rival_even_near_the_noise(monkeypatch):
     monkeypatch.setattr(_Fit, "over_noise", 2.0)
     search = _Racing([6200.0, 7200.0], [6100.0, 9999.0], [5000.0, 7500.0])
-    states = search.states()
-    states[1:] = [replace(state, problem=SimpleNamespace(**vars(WITH_PIECES)))
-                  for state in states[1:]]
-    search.__dict__["problem"] = states[0].problem
-    assert _best_of(search._with_loops_in_turns(states)).best.start == 1
+    first, *others = search.states()
+    search.__dict__["problem"] = first.problem
+    others = [replace(state, problem=SimpleNamespace(**vars(WITH_PIECES))) for state in others]
+    assert _best_of(search._with_loops_in_turns([first, *others])).best.start == 1
     assert search.made.count(2) == 0
 
 
