@@ -20,6 +20,9 @@ STEEPEST = 0.95
 STEP = 1.0 / 64.0
 """Step of the numerical solution, relative to the relaxation voltage."""
 
+GOES_BACK = "the stage would go back while the voltage goes on"
+"""Why a hysteresis that takes more than the voltage adds is impossible."""
+
 BISECTIONS = 40
 """Number of bisections of a step to find where a motion begins."""
 
@@ -205,7 +208,7 @@ class BoucWenHysteresis(Effect):
 
     def impossible(self, extent: Extent) -> str | None:
         """Reject a displacement that decreases while the voltage rises."""
-        return "the stage would go back while the voltage goes on" if self.goes_back else None
+        return GOES_BACK if self.goes_back else None
 
     @classmethod
     def starts(cls, evidence: Evidence) -> list[Self]:

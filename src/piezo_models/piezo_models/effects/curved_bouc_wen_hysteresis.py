@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from piezo_common.arrays import FloatArray
-from piezo_models.effects.bouc_wen_hysteresis import STEEPEST, BoucWenHysteresis
+from piezo_models.effects.bouc_wen_hysteresis import GOES_BACK, STEEPEST, BoucWenHysteresis
 from piezo_models.effects.effect import Extent, parameter
 
 MOST_CURVED = 0.4
@@ -48,5 +48,4 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
         cycle_v = np.interp(np.arange(3 * CYCLE + 1) / CYCLE, np.arange(4), [
             extent.lowest_v, extent.highest_v, extent.lowest_v, extent.highest_v])
         slopes = np.diff(self.apply(cycle_v, extent.sample_period_s)) / np.diff(cycle_v)
-        return ("the stage would go back while the voltage goes on"
-                if slopes.min() < 1.0 - STEEPEST else None)
+        return GOES_BACK if slopes.min() < 1.0 - STEEPEST else None
