@@ -98,7 +98,3 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--logs", type=Path, default=Path("runs/logs"), metavar="DIR",
                         help="gets what the nodes print (default: %(default)s)")
     return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

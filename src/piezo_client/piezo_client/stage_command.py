@@ -199,7 +199,3 @@ def _add_accept(commands: Commands) -> None:
     which.add_argument("--extended-model", type=Path, metavar="FILE",
                        help="by default what the monitor offers")
     which.add_argument("--withdraw", action="store_true", help="use the model itself again")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

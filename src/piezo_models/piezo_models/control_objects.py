@@ -3,7 +3,7 @@
 
 import warnings
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike
 from typing import NamedTuple
 
@@ -16,20 +16,12 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics, zoh
 
-
-@dataclass(frozen=True)
-class ConversionSettings:
-    """Tolerances of the conversion of a system of python-control to a model."""
-
-    rounding: float = 1e-9
-    """A root is taken as real if its imaginary part is below this fraction of its magnitude;
-    eigenvalue solvers leave rounding errors of this size."""
-    response_tolerance: float = 1e-6
-    """Largest relative deviation of the found model's response from that of the system, and of the
-    roots of a delay; a thousandth of what an identification attains."""
-
-
-SETTINGS = ConversionSettings()
+ROUNDING = 1e-9
+"""A root is taken as real if its imaginary part is below this fraction of its magnitude;
+eigenvalue solvers leave rounding errors of this size."""
+RESPONSE_TOLERANCE = 1e-6
+"""Largest relative deviation of the found model's response from that of the system, and of the
+roots of a delay; a thousandth of what an identification attains."""
 
 AT_ONCE = control.tf([1.0], [1.0])
 """Transfer function of no delay."""
@@ -195,7 +187,7 @@ def _without(roots: ComplexArray, known: ComplexArray) -> ComplexArray | None:
     """Return the roots without the known ones, or None if one of these is not among them."""
     for root in known:
         distance = np.abs(roots - root)
-        if not roots.size or distance.min() > SETTINGS.response_tolerance * abs(root):
+        if not roots.size or distance.min() > RESPONSE_TOLERANCE * abs(root):
             return None
         roots = np.delete(roots, distance.argmin())
     return roots
@@ -209,7 +201,7 @@ def _sorted_roots(roots: Iterable[complex], kind: str,
         if not (np.isfinite(root) and root.real < 0.0):
             raise ValueError(f"the system has a {kind} at {root:.6g} rad/s; "
                              "give a stable one with all zeros on the left")
-        if abs(root.imag) <= SETTINGS.rounding * abs(root):
+        if abs(root.imag) <= ROUNDING * abs(root):
             real.append(float(-root.real))
         elif root.imag > 0.0:
             pairs.append((float(abs(root)), float(-root.real / abs(root))))
@@ -229,7 +221,7 @@ def _gain(system: control.StateSpace | control.TransferFunction, creep: CreepDyn
     found = creep.response(frequency_hz) * dynamics.response(frequency_hz)
     ratio = system(1j * rates) / (found * delay(1j * rates))
     gain = float(np.mean(ratio.real))
-    if not np.all(np.abs(ratio - gain) <= SETTINGS.response_tolerance * abs(gain)):
+    if not np.all(np.abs(ratio - gain) <= RESPONSE_TOLERANCE * abs(gain)):
         raise ValueError("the system's poles and zeros cannot be separated well enough; "
                          "give a smaller one, such as control.minreal(system)")
     return gain

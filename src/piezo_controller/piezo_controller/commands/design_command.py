@@ -2,7 +2,6 @@
 """The command `design`: from a model file to a controller or law file, with report and figures."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, add_report_option, check_output_file
@@ -81,6 +80,3 @@ COMMAND = Command(
     inputs=("model",), check=_check,
     interrupted="a controller file that it named as written is whole")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 """The command `scan`: from a model of several axes and a path to the voltages that follow it."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -87,6 +86,3 @@ COMMAND = Command(
     _add_options, "piezo_controller.commands.scan_work:plan_scan", inputs=("model", "file"),
     folders=("output",), check=_check)
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

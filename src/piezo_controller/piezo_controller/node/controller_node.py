@@ -30,7 +30,6 @@ from piezo_controller.tracking.track import (
     PreparedRun,
     Steps,
     TrackRequest,
-    Unwatched,
     prepare,
 )
 from piezo_controller.tracking.tracking_modes import StageClock
@@ -126,7 +125,7 @@ class ControllerNode(LifecycleNode):
 
         prepared = prepared_for(request, _Preparing(progress, goal.tolerance_um))
         present = PresentRun(
-            request, named, prepared, lambda other: prepared_for(other, Unwatched()),
+            request, named, prepared, lambda other: prepared_for(other, Steps()),
             self._tracker, clock.tick_s)
         progress.check()
         self._stage.check_unchanged(described)
@@ -237,7 +236,7 @@ def _keep_learned(learning: Learning | None, result: Track.Result) -> str:
     return learning.account
 
 
-class _Preparing:
+class _Preparing(Steps):
     """Reports the steps before the run, and lets it be cancelled."""
 
     def __init__(self, progress: Progress, tolerance_um: float) -> None:

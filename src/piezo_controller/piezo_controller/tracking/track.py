@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from piezo_common.arrays import FloatArray
 from piezo_controller.feedback.onboard_law import FADE_S
@@ -65,24 +65,14 @@ class TrackRequest:
     """Directory of learned feedforwards."""
 
 
-class Steps(Protocol):
-    """Observer of the steps of a preparation; both methods may raise to end it."""
+class Steps:
+    """Observer of the steps of a preparation, which does nothing; a method may raise to end it."""
 
     def begin(self, step: str) -> None:
         """Called when a step begins."""
 
     def watch(self, fraction: float) -> None:
         """Called with the fraction of the present step that is done (0 to 1)."""
-
-
-class Unwatched:
-    """An observer that ignores the steps."""
-
-    def begin(self, step: str) -> None:
-        """Do nothing."""
-
-    def watch(self, fraction: float) -> None:
-        """Do nothing."""
 
 
 @dataclass(frozen=True, eq=False)

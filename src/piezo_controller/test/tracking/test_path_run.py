@@ -16,7 +16,7 @@ from piezo_controller.feedback import feedback_design
 from piezo_controller.references.reference import Reference
 from piezo_controller.tracking.feedbacks import Feedbacks, FeedbackSettings
 from piezo_controller.tracking.path_run import prepare_path
-from piezo_controller.tracking.track import TrackRequest, Unwatched
+from piezo_controller.tracking.track import Steps, TrackRequest
 from piezo_controller.tracking.tracking_modes import StageClock
 from piezo_models import save_axes_model
 
@@ -38,7 +38,7 @@ def prepared(model_file):
     def prepare(mode, reference=RASTER, duration_s=0.2, stage=STAGE, settings=None, **changes):
         request = TrackRequest(mode, str(model_file), "0" * 64, [reference], [duration_s])
         return prepare_path(replace(request, **changes), CLOCK, stage,
-                            Feedbacks(settings or FeedbackSettings(), CLOCK), Unwatched())
+                            Feedbacks(settings or FeedbackSettings(), CLOCK), Steps())
 
     return prepare
 

@@ -24,19 +24,11 @@ from piezo_models.hysteresis.preisach_kernels import (
     simulate,
 )
 
-
-@dataclass(frozen=True)
-class InversionSettings:
-    """Tolerances of the inverse of the hysteresis, as fractions of the output's span."""
-
-    range_tolerance: float = 1e-9
-    """A target that exceeds the output range by less is limited to it as a rounding error."""
-    rounding: float = 16 * float(np.finfo(float).eps)
-    """Accuracy of a sum of Everett integrals, a few roundings of a double. No flat stretch is
-    crossed for a smaller remainder."""
-
-
-INVERSION = InversionSettings()
+RANGE_TOLERANCE = 1e-9
+"""A target that exceeds the output range by less is limited to it as a rounding error."""
+ROUNDING = 16 * float(np.finfo(float).eps)
+"""Accuracy of a sum of Everett integrals, a few roundings of a double. No flat stretch is
+crossed for a smaller remainder."""
 
 
 @dataclass(eq=False)
@@ -195,7 +187,7 @@ class PreisachModel:
     def kernel_arguments(self) -> tuple[Grid, Table, float]:
         """Return grid, table and rounding (um) for calls of the kernels."""
         largest_um = abs(self.offset_um) + self.travel_um
-        return self._grid, self._table, INVERSION.rounding * largest_um
+        return self._grid, self._table, ROUNDING * largest_um
 
     def everett_um(self, alpha_v: ArrayLike, beta_v: ArrayLike) -> FloatArray:
         """Integrate the density over beta_v <= beta <= alpha <= alpha_v: the Everett function.
@@ -292,7 +284,7 @@ class PreisachModel:
                 "fit it by non-negative least squares"
             )
         low, high = self.output_range_um
-        slack = INVERSION.range_tolerance * (high - low)
+        slack = RANGE_TOLERANCE * (high - low)
         lowest, highest = (target.min(), target.max()) if target.size else (low, high)
         if lowest < low - slack or highest > high + slack:
             raise ValueError(
@@ -304,7 +296,7 @@ class PreisachModel:
         memory = self._own(memory)
         voltage, memory.extremes_v, memory.outputs_um, memory.top = invert(
             target,
-            INVERSION.rounding * (abs(low) + high - low),
+            ROUNDING * (abs(low) + high - low),
             memory.extremes_v,
             memory.outputs_um,
             memory.top,

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Inverse of the linear dynamics for periodic references."""
 
-from dataclasses import dataclass
 
 import control
 import numpy as np
@@ -10,26 +9,18 @@ from numpy.typing import ArrayLike
 from piezo_common.arrays import ComplexArray, FloatArray, IntArray
 from piezo_models.linear.dynamics import zoh_response
 
-
-@dataclass(frozen=True)
-class PeriodicInversionSettings:
-    """Tolerances of the inversion for periodic references."""
-
-    negligible_content: float = 1e-12
-    """Harmonics below this fraction of the largest one are rounding errors of the Fourier
-    transform."""
-    smallest_gain: float = 1e-6
-    """The reference is rejected if it has a harmonic at which the gain is below this fraction of
-    the DC gain: the inverse would amplify its rounding error more than a million times."""
-
-
-SETTINGS = PeriodicInversionSettings()
+NEGLIGIBLE_CONTENT = 1e-12
+"""Harmonics below this fraction of the largest one are rounding errors of the Fourier
+transform."""
+SMALLEST_GAIN = 1e-6
+"""The reference is rejected if it has a harmonic at which the gain is below this fraction of
+the DC gain: the inverse would amplify its rounding error more than a million times."""
 
 
 def used_lines(lines: ComplexArray) -> IntArray:
     """Return the lines of a spectrum, (F,) or (F, axes), whose content is not negligible."""
     size = np.abs(lines).reshape(len(lines), -1).max(axis=1)
-    return np.flatnonzero(size > SETTINGS.negligible_content * size.max())
+    return np.flatnonzero(size > NEGLIGIBLE_CONTENT * size.max())
 
 
 def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
@@ -75,11 +66,11 @@ def invert_linear_periodic(reference_um: ArrayLike, system: control.StateSpace,
     response = zoh_response(system, frequency_hz, sample_period_s)
     gain = np.abs(response)
     static_gain = float(np.real(zoh_response(system, 0.0, sample_period_s)))
-    lost = gain < SETTINGS.smallest_gain * abs(static_gain)
+    lost = gain < SMALLEST_GAIN * abs(static_gain)
     if lost.any():
         raise ValueError(
             f"the reference has content at {frequency_hz[lost][0]:.6g} Hz, where the system passes "
-            f"less than {SETTINGS.smallest_gain:g} of its DC gain; smooth the reference"
+            f"less than {SMALLEST_GAIN:g} of its DC gain; smooth the reference"
         )
     if dc_gain is not None:
         response = np.where(used == 0, dc_gain, response)

@@ -2,7 +2,6 @@
 """The command `convert`: rewrite any recording in the format of this suite, or as CSV."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -31,6 +30,3 @@ COMMAND = Command(
     inputs=("recording",), check=_check,
     interrupted="NEW, if it is there, is incomplete: remove it")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

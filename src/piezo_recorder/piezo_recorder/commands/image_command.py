@@ -2,7 +2,6 @@
 """The command `image`: make images from the recordings of scans."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -24,6 +23,3 @@ COMMAND = Command(
     "piezo_recorder.images.image_page:make_images", inputs=("data", "specimen"),
     folders=("output",))
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

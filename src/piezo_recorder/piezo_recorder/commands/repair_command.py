@@ -2,7 +2,6 @@
 """The command `repair`: make a complete recording from that of a killed recorder."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -18,6 +17,3 @@ COMMAND = Command(
     "piezo_recorder.writing.repair:repair_given", inputs=("recording",),
     interrupted="the output, if it is there, is incomplete: remove it")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

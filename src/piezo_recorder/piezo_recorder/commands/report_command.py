@@ -2,7 +2,6 @@
 """The command `report`: describe the samples of a recording."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -18,6 +17,3 @@ COMMAND = Command(
     epilog="The status is 1 where samples are missing, 2 where it cannot be read.",
     inputs=("recording",))
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -441,7 +441,3 @@ def _create_waiting_service(
 def main(args: list[str] | None = None) -> None:
     """Run the node ``recorder``."""
     run_node(Recorder, args)
-
-
-if __name__ == "__main__":
-    main()

@@ -7,6 +7,7 @@ from typing import ClassVar
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter, require
 from piezo_sim.plant.random_stream import EventStream, bits_for
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @dataclass(frozen=True)
@@ -27,39 +28,25 @@ class IntermittentContact(Bounded):
         super().__post_init__()
         require(0.0 <= self.lost_share <= 1.0, self, "lost_share must be between 0 and 1.")
 
-    def start(self, surroundings: Surroundings) -> "IntermittentContactRunner":
-        """Start the times from the seed."""
-        return IntermittentContactRunner(self, surroundings)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the times from the seed; the joint is tight at rest."""
+        mean_samples = [time_s / surroundings.sample_period_s
+                        for time_s in (self.mean_tight_time_s, self.mean_loose_time_s)]
+        events = EventStream(bits_for(self.name, surroundings.seed))
+        events.wait(mean_samples[False])
 
+        def pass_on(samples: FloatArray, loose: bool) -> tuple[bool]:
+            done = 0
+            while (position := events.within(samples.size)) is not None:
+                self._lose(samples[done:position], loose)
+                done, loose = position, not loose
+                events.wait(mean_samples[loose])
+            self._lose(samples[done:], loose)
+            events.advance(samples.size)
+            return (loose,)
 
-class IntermittentContactRunner:
-    """Intermittent contact with its state and the instant of the next change."""
+        return StateRunner(pass_on, lambda level: ((False,), level))
 
-    def __init__(self, effect: IntermittentContact, surroundings: Surroundings) -> None:
-        self._effect = effect
-        self._mean_samples = {
-            False: effect.mean_tight_time_s / surroundings.sample_period_s,
-            True: effect.mean_loose_time_s / surroundings.sample_period_s,
-        }
-        self._loose = False
-        self._events = EventStream(bits_for(effect.name, surroundings.seed))
-        self._events.wait(self._mean_samples[self._loose])
-
-    def rest(self, level: float) -> float:
-        """Return the level unchanged, because the joint is tight at rest."""
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace displacements of the drive by those behind the joint."""
-        done = 0
-        while (position := self._events.within(samples.size)) is not None:
-            self._pass_on(samples[done:position])
-            done = position
-            self._loose = not self._loose
-            self._events.wait(self._mean_samples[self._loose])
-        self._pass_on(samples[done:])
-        self._events.advance(samples.size)
-
-    def _pass_on(self, samples: FloatArray) -> None:
-        if self._loose:
-            samples -= self._effect.lost_share * (samples - self._effect.joint_um)
+    def _lose(self, samples: FloatArray, loose: bool) -> None:
+        if loose:
+            samples -= self.lost_share * (samples - self.joint_um)

@@ -4,7 +4,6 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import converter_of
 from piezo_sim.plant.plant_effect import Surroundings, parameter
 from piezo_sim.plant.pointwise import PointwiseRunner
@@ -25,9 +24,4 @@ class OutputConverter:
 
     def start(self, surroundings: Surroundings) -> PointwiseRunner:
         """Start; a converter has no memory."""
-        converter = converter_of(self, "voltage_min_v", "voltage_max_v")
-
-        def convert(samples: FloatArray) -> None:
-            converter.apply(samples)
-
-        return PointwiseRunner(convert)
+        return PointwiseRunner(converter_of(self, "voltage_min_v", "voltage_max_v").apply)

@@ -9,6 +9,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.plant_effect import NOT_NEGATIVE, POSITIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import EventStream, bits_for
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @dataclass(frozen=True)
@@ -21,31 +22,20 @@ class Spikes(Bounded):
     height_um: float = parameter("um")
     height_spread: float = parameter("1", NOT_NEGATIVE)
 
-    def start(self, surroundings: Surroundings) -> "SpikesRunner":
-        """Start the instants from the seed."""
-        return SpikesRunner(self, surroundings)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the instants from the seed; spikes do not change the rest."""
+        mean_samples = 1.0 / (self.rate_per_s * surroundings.sample_period_s)
+        events = EventStream(bits_for(self.name, surroundings.seed))
+        events.wait(mean_samples)
 
+        def add(samples: FloatArray) -> tuple[()]:
+            while (position := events.within(samples.size)) is not None:
+                generator = events.generator
+                height_um = self.height_um * np.exp(
+                    self.height_spread * generator.standard_normal())
+                samples[position] += height_um if generator.random() < 0.5 else -height_um
+                events.wait(mean_samples)
+            events.advance(samples.size)
+            return ()
 
-class SpikesRunner:
-    """Spikes with the instant of the next one."""
-
-    def __init__(self, effect: Spikes, surroundings: Surroundings) -> None:
-        self._effect = effect
-        self._mean_samples = 1.0 / (effect.rate_per_s * surroundings.sample_period_s)
-        self._events = EventStream(bits_for(effect.name, surroundings.seed))
-        self._events.wait(self._mean_samples)
-
-    def rest(self, level: float) -> float:
-        """Return the level unchanged, as spikes do not change it."""
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Add spikes to displacements."""
-        while (position := self._events.within(samples.size)) is not None:
-            generator, effect = self._events.generator, self._effect
-            height_um = effect.height_um * np.exp(
-                effect.height_spread * generator.standard_normal()
-            )
-            samples[position] += height_um if generator.random() < 0.5 else -height_um
-            self._events.wait(self._mean_samples)
-        self._events.advance(samples.size)
+        return StateRunner(add, lambda level: ((), level))

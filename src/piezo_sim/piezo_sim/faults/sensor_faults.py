@@ -62,9 +62,6 @@ class NoisySensor(Fault):
 
     noise_rms_um: float = parameter("um", POSITIVE)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-
     def spoiling(self, surroundings: Surroundings) -> Spoil:
         """Add noise from the seed to the readings."""
         noise = NormalStream(bits_for(self.name, surroundings.seed))

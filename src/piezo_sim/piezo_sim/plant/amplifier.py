@@ -10,6 +10,7 @@ from numba import njit
 from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import converter_of
 from piezo_sim.plant.plant_effect import POSITIVE, Bounded, Surroundings, parameter
+from piezo_sim.plant.state_runner import Rested, StateRunner
 
 
 @njit(cache=True)
@@ -44,27 +45,18 @@ class VoltageAmplifier(Bounded):
         super().__post_init__()
         converter_of(self, "voltage_min_v", "voltage_max_v")  # checks the parameters
 
-    def start(self, surroundings: Surroundings) -> "AmplifierRunner":
-        """Start at the rest voltage."""
-        return AmplifierRunner(self, surroundings.sample_period_s)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start at the level of the converter nearest to the rest voltage."""
+        converter = converter_of(self, "voltage_min_v", "voltage_max_v")
+        largest_change_v = self.slew_rate_v_per_s * surroundings.sample_period_s
 
+        def at_rest(level: float) -> Rested:
+            samples = np.array([level])
+            converter.apply(samples)
+            return (float(samples[0]),), float(samples[0])
 
-class AmplifierRunner:
-    """Amplifier with its output as state."""
+        def follow(samples: FloatArray, output_v: float) -> tuple[float]:
+            converter.apply(samples)
+            return (_slew(samples, output_v, largest_change_v),)
 
-    def __init__(self, effect: VoltageAmplifier, sample_period_s: float) -> None:
-        self._converter = converter_of(effect, "voltage_min_v", "voltage_max_v")
-        self._largest_change_v = effect.slew_rate_v_per_s * sample_period_s
-        self._output_v = effect.voltage_min_v
-
-    def rest(self, level: float) -> float:
-        """Settle at the level of the converter nearest to the command `level`."""
-        samples = np.array([level])
-        self._converter.apply(samples)
-        self._output_v = float(samples[0])
-        return self._output_v
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace commanded voltages by output voltages."""
-        self._converter.apply(samples)
-        self._output_v = _slew(samples, self._output_v, self._largest_change_v)
+        return StateRunner(follow, at_rest)

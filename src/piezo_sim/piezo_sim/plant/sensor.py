@@ -10,6 +10,7 @@ from piezo_common.arrays import FloatArray
 from piezo_sim.plant.converter import converter_of
 from piezo_sim.plant.plant_effect import NOT_NEGATIVE, Bounded, Surroundings, parameter
 from piezo_sim.plant.random_stream import NormalStream
+from piezo_sim.plant.state_runner import StateRunner
 
 
 @dataclass(frozen=True)
@@ -27,24 +28,14 @@ class DisplacementSensor(Bounded):
         super().__post_init__()
         converter_of(self, "displacement_min_um", "displacement_max_um")  # checks the parameters
 
-    def start(self, surroundings: Surroundings) -> "SensorRunner":
-        """Start the noise from the seed."""
-        return SensorRunner(self, surroundings.seed)
+    def start(self, surroundings: Surroundings) -> StateRunner:
+        """Start the noise from the seed; there is no state."""
+        converter = converter_of(self, "displacement_min_um", "displacement_max_um")
 
+        def measure(samples: FloatArray, normals: FloatArray) -> tuple[()]:
+            samples += self.noise_rms_um * normals
+            converter.apply(samples)
+            return ()
 
-class SensorRunner:
-    """Sensor with its noise stream."""
-
-    def __init__(self, effect: DisplacementSensor, seed: int) -> None:
-        self._noise_rms_um = effect.noise_rms_um
-        self._converter = converter_of(effect, "displacement_min_um", "displacement_max_um")
-        self._noise = NormalStream(np.random.PCG64(seed))
-
-    def rest(self, level: float) -> float:
-        """Return the level unchanged, as the sensor has no state."""
-        return level
-
-    def apply(self, samples: FloatArray) -> None:
-        """Replace displacements by measured displacements."""
-        samples += self._noise_rms_um * self._noise.next(samples.size)
-        self._converter.apply(samples)
+        return StateRunner(measure, lambda level: ((), level),
+                           normals=NormalStream(np.random.PCG64(surroundings.seed)))

@@ -2,7 +2,6 @@
 """The command `specimen`: make a grating to be scanned with a simulated stage."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command, check_output_file, print_next
@@ -41,6 +40,3 @@ def make_specimen(options: argparse.Namespace) -> None:
 COMMAND = Command("specimen", "Make a grating to be scanned with a simulated stage.", _add_options,
                   "piezo_sim.specimen.specimen_command:make_specimen", check=_check)
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 """`demo`: identify a simulated stage, track, diagnose, track again, watch, decide, scan, report."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -29,6 +28,3 @@ COMMAND = Command(
     "again with the extended model, watch a change, decide a cause, scan with two axes, and "
     "report.", _add_options, "piezo_studies.demo.demo_node:run_given")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

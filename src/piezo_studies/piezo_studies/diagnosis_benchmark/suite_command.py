@@ -2,7 +2,6 @@
 """`diagnose_suite`: run the benchmark of `diagnose` on plants with hidden effects."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -35,6 +34,3 @@ COMMAND = Command(
     _add_options, "piezo_studies.diagnosis_benchmark.run_suite:diagnose_cases",
     interrupted="what is done is kept; the same command goes on")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,7 +2,6 @@
 """`measured`: errors on measured data of other stages, compared with published figures."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import Command
@@ -21,6 +20,3 @@ COMMAND = Command(
     "piezo_studies.measured_devices.measured_work:measure_devices", inputs=("data",),
     interrupted="table.json, if it is there, is of an earlier run")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())
