@@ -13,7 +13,6 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.conditioning.settling import STANDS_OUT
 from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
@@ -88,6 +87,9 @@ class SearchSettings:
     are not treated as modes of one structure in phase."""
     most_uncoupled: float = 0.3
     """Largest damping ratio of a mode of a structure."""
+    least_participation: float = 0.01
+    """Smallest participation, relative to the largest, of a mode beside a new amplifier of second
+    order."""
     first_lag: float = 0.5
     """Smallest initial time constant of a new lag, in sample periods."""
     faster_creep: float = 8.0
@@ -151,44 +153,60 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
     """
     best = before = problem.fit(given, delay_s, 0)
     tried = [("step by step", before)]
-    found, with_loops = [(problem, before)], problem
+    found = [(problem, before)]
+    clean = list(starts(problem, given, delay_s, with_new_loops is not None))
+    between = list(between_rows(problem, given, delay_s))
+
+    def is_sought(structure: Structure) -> bool:
+        check_cancelled()
+        return is_asked_for(structure.model) and not is_at_noise(
+            problem, best, SETTINGS.surely_at_noise)
+
+    def add(where: WholeModel, structure: Structure,
+            density_changes: FloatArray | None = None) -> WholeFit:
+        nonlocal best
+        report(structure.change, len(tried) / (len(tried) + len(clean) + len(between)))
+        fit = where.fit(structure.model, structure.delay_s, SETTINGS.steps, density_changes)
+        tried.append((structure.change, fit))
+        found.append((where, fit))
+        best = fit if is_better(fit, best) else best
+        return fit
+
     with while_time_lasts("other starts of the fit"):
-        report("everything together", 0.0)
         if is_asked_for(given):
-            together = problem.fit(given, delay_s, SETTINGS.steps)
-            tried.append(("everything together", together))
-            found.append((problem, together))
-            best = together if is_better(together, best) else best
-        between = list(between_rows(problem, given, delay_s))
-        listed = [*starts(problem, given, delay_s, with_new_loops is not None), *between]
-        for number, structure in enumerate(listed, 1):
-            check_cancelled()
-            if not is_asked_for(structure.model) or is_at_noise(
-                    problem, best, SETTINGS.surely_at_noise):
-                continue
-            if structure in between and problem.fastest_over_noise(best) <= SETTINGS.wrong:
-                continue
-            report(structure.change, number / (len(listed) + 1))
-            if structure not in between and with_loops is problem and with_new_loops is not None:
-                # The first estimate is as wrong as the dynamics before any fit.
-                for steps in (0, SETTINGS.followed_steps):
-                    fit = with_loops.fit(structure.model, structure.delay_s, steps)
-                    structure = replace(structure, model=fit.model, delay_s=fit.delay_s)
-                    with_loops = with_new_loops(fit)
-            where = problem if structure in between else with_loops
-            # A delay compensates for an amplifier that is yet to be found.
-            is_delayed_later = structure.delay_s is None and (delay_s or 0.0) > 0.0
-            fit = where.fit(structure.model, structure.delay_s,
-                            SETTINGS.followed_steps if is_delayed_later else SETTINGS.steps)
-            here = [(structure.change, fit)]
-            if is_delayed_later:
-                here.append((f"{structure.change}, and a delay", where.fit(
-                    fit.model, 0.0, SETTINGS.steps, fit.density_changes)))
-            tried += here
-            found += [(where, each) for _, each in here]
-            for _, each in here:
-                best = each if is_better(each, best) else best
+            add(problem, Structure("everything together", given, delay_s))
+        where = problem
+        for structure in filter(is_sought, clean):
+            if where is problem and with_new_loops is not None:
+                report(structure.change, 0.0)
+                where, structure = _with_own_loops(problem, structure, with_new_loops)
+                for amplified in filter(is_sought, _with_second_order_amplifier(
+                        problem, add(where, structure))):
+                    # A delay compensates for an amplifier that is yet to be found.
+                    fit = add(where, amplified)
+                    if (delay_s or 0.0) > 0.0:
+                        add(where, Structure(f"{amplified.change}, and a delay", fit.model, 0.0),
+                            fit.density_changes)
+            else:
+                add(where, structure)
+        for structure in filter(is_sought, between):
+            if problem.fastest_over_noise(best) > SETTINGS.wrong:
+                add(problem, structure)
     return [(where, fit) for where, fit in found if fit is not before or fit is best], tried
+
+
+def _with_own_loops(
+    problem: WholeModel, structure: Structure, with_new_loops: Callable[[WholeFit], WholeModel],
+) -> tuple[WholeModel, Structure]:
+    """Return the problem with loops estimated with a start, and the start after that.
+
+    The first estimate is as wrong as the dynamics before any fit, so that a second one follows.
+    """
+    for steps in (0, SETTINGS.followed_steps):
+        fit = problem.fit(structure.model, structure.delay_s, steps)
+        structure = replace(structure, model=fit.model, delay_s=fit.delay_s)
+        problem = with_new_loops(fit)
+    return problem, structure
 
 
 FORMS = ("", ", a curve", ", a curve behind and beside")
@@ -402,7 +420,6 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
 
     They contain the ringing modes and a lag on one side of the hysteresis. A search without the
     hysteresis describes part of the loops as dynamics, which step-by-step changes cannot undo.
-    Only recorded loops tell an amplifier of second order from a mode.
     """
     given = _with_modes_in_parallel(given)
     ringing = [effect for effect in given.effects
@@ -430,16 +447,29 @@ def starts(problem: WholeModel, given: StageModel, delay_s: float | None,
             loudest.mode_frequencies_rad_per_s[0], loudest.damping_ratios[0], participation=1.0)
         yield Structure("its loudest mode alone, with an amplifier's lag", replace(
             bare, effects=(AmplifierLag(lag_s), mode, *others)), delay_s or 0.0)
-    if is_loop_recorded:
-        # The delay is added later.
-        late_s = lag_s + max(delay_s or 0.0, 0.0)
-        clear = _clear(modes)
-        yield Structure(f"{len(clear)} modes in phase, an amplifier of second order", replace(
-            bare, creep=_creep_up_to(given.creep, clear),
-            effects=(SecondOrderAmplifier(late_s), *_uncoupled(clear), *others)), None)
     if any(isinstance(effect, VibrationMode) for effect in given.effects):
         yield Structure(f"{what}, with an electric lag", replace(
             _electric(bare, lag_s), effects=effects), delay_s)
+
+
+def _with_second_order_amplifier(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
+    """Yield a fitted start with an amplifier of second order, in place of its lag and delay.
+
+    Of its modes, those that ring and move the stage remain: others may stand for creep, for errors
+    of the loops, or for the amplifier itself. Only recorded loops tell it from a mode.
+    """
+    modes, others = _modes_and_others(fit.model)
+    largest = max((abs(mode.participation) for mode in modes), default=0.0)
+    clear = [mode for mode in modes
+             if mode.damping_ratio < SETTINGS.most_uncoupled and _rings(problem, mode)
+             and abs(mode.participation) > SETTINGS.least_participation * largest]
+    if clear or not modes:
+        late_s = max(fit.delay_s or 0.0, 0.0) + sum(
+            effect.time_constant_s for effect in others if isinstance(effect, AmplifierLag))
+        others = tuple(effect for effect in others if not isinstance(effect, AmplifierLag))
+        yield Structure(f"{len(clear)} modes in phase, an amplifier of second order", replace(
+            fit.model, creep=_creep_up_to(fit.model.creep, clear),
+            effects=(SecondOrderAmplifier(late_s), *_uncoupled(clear), *others)), None)
 
 
 def _with_modes_in_parallel(model: StageModel) -> StageModel:
@@ -531,21 +561,6 @@ def _sizes(creep: CreepDynamics) -> FloatArray:
 def _of_sizes(poles_rad_per_s: ArrayLike, sizes: ArrayLike) -> CreepDynamics:
     poles = np.asarray(poles_rad_per_s, dtype=float)
     return CreepDynamics(tuple(poles.tolist()), tuple((poles * np.exp(sizes)).tolist()))
-
-
-def _clear(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
-    """Return modes without slower ones that hardly stand out beside the clearest.
-
-    They may stand for creep or for errors of the loops.
-    """
-    if not modes:
-        return []
-    heights = [abs(mode.participation) * mode.frequency_rad_per_s / mode.damping_ratio
-               for mode in modes]
-    clearest = modes[int(np.argmax(heights))]
-    return [mode for mode, height in zip(modes, heights, strict=True)
-            if mode.frequency_rad_per_s >= clearest.frequency_rad_per_s
-            or height >= STANDS_OUT * max(heights)]
 
 
 def _creep_up_to(creep: CreepDynamics, modes: Sequence[VibrationMode]) -> CreepDynamics:
