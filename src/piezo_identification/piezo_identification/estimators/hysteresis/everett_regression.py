@@ -309,7 +309,7 @@ def _regression(position: FloatArray, size: int, samples: IntArray) -> tuple[
         history[row] = known
         # Without a known past, no pair counts.
         last = top if known >= 0 else 0
-        if number < 0 or not _equal(begun, extremes[: max(last, 1)]):
+        if number < 0 or not np.array_equal(begun, extremes[: max(last, 1)]):
             number, begun = number + 1, extremes[: max(last, 1)].copy()
             older = _with_room_for(older, used + ENTRIES * last)
             used = _summed_pairs(*older, used, begun, 1, last, size, place)
@@ -322,16 +322,6 @@ def _regression(position: FloatArray, size: int, samples: IntArray) -> tuple[
         row += 1
     return ((older[0][:used], older[1][:used], of_branch[: max(number, 0) + 2]), branch,
             (own[0][:count], own[1][:count], of_sample), history)
-
-
-@njit(cache=True)
-def _equal(values: FloatArray, others: FloatArray) -> bool:
-    if values.size != others.size:
-        return False
-    for place in range(values.size):
-        if values[place] != others[place]:
-            return False
-    return True
 
 
 @njit(cache=True)
