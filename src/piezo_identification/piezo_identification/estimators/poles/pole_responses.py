@@ -53,9 +53,7 @@ class HeldInput:
         part = -delay - ahead
         rows = self._places(ahead, rows)
         state, slope = self._states(scaled, rows)
-        decay = np.exp(scaled * part)
-        gain = (decay - 1.0) / scaled
-        gain_slope = (part * decay - gain) / scaled
+        decay, gain, gain_slope = step_response(scaled, part)
         value, by_pole, by_delay = _read(
             state, slope, self.samples[rows], scaled, part, decay, gain, gain_slope,
             self.sample_period_s)
@@ -73,7 +71,7 @@ class HeldInput:
         since = self.early[following] + part - 1.0
         read = np.flatnonzero((self.early[following] != 0.0) & (since > 0.0))
         change = (self.samples[following] - self.samples[rows])[read]
-        gain, gain_slope = _step(scaled[:, None], since[read])
+        _, gain, gain_slope = step_response(scaled[:, None], since[read])
         period_s = self.sample_period_s
         value[:, read] += change * gain * period_s
         by_pole[:, read] += change * gain_slope * period_s**2
@@ -83,9 +81,7 @@ class HeldInput:
         self, scaled: ComplexArray, rows: NDArray[np.intp],
     ) -> tuple[ComplexArray, ComplexArray]:
         """States at some samples, shape (n, K), and their derivatives by the scaled poles."""
-        decay = np.exp(scaled)
-        gain = (decay - 1.0) / scaled
-        gain_slope = (decay - gain) / scaled
+        decay, gain, gain_slope = step_response(scaled)
         if self.is_periodic:
             every = np.arange(self.samples.size)
             nothing = np.zeros_like(decay)
@@ -116,7 +112,7 @@ class HeldInput:
             return _NO_EDGES
         at = np.flatnonzero(self.early[begin:end])
         change = self.samples[begin + at] - self.samples[begin + at - 1]
-        gain, gain_slope = _step(scaled[:, None], self.early[begin + at])
+        _, gain, gain_slope = step_response(scaled[:, None], self.early[begin + at])
         return at, change * gain, change * gain_slope
 
     def _places(self, ahead: int, rows: NDArray[np.intp] | None) -> NDArray[np.intp]:
@@ -134,11 +130,13 @@ _NO_EDGES = (np.empty(0, dtype=np.intp), np.empty((0, 0), dtype=complex),
              np.empty((0, 0), dtype=complex))
 
 
-def _step(scaled: ComplexArray, time: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Response to a step after a time in sample periods, and its derivative by the scaled pole."""
+def step_response(
+    scaled: ComplexArray, time: FloatArray | float = 1.0,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Decay in a time in sample periods, step response after it, and its slope by the poles."""
     decay = np.exp(scaled * time)
     gain = (decay - 1.0) / scaled
-    return gain, (time * decay - gain) / scaled
+    return decay, gain, (time * decay - gain) / scaled
 
 
 @njit(cache=True)

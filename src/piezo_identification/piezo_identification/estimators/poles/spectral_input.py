@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezo_common.arrays import ComplexArray, FloatArray
-from piezo_identification.estimators.poles.pole_responses import PoleResponses
+from piezo_identification.estimators.poles.pole_responses import PoleResponses, step_response
 
 DELAYED = 3
 """Number of sample periods of delay for which the ends of a stretch are free."""
@@ -146,11 +146,10 @@ class SpectralInput:
         ahead = int(np.floor(-delay))
         part = -delay - ahead
         turn = np.exp(1j * sign * self.phases)[:, None]
-        decay, late = np.exp(scaled), np.exp(scaled * part)
-        gain, late_gain = (decay - 1.0) / scaled, (late - 1.0) / scaled
+        decay, gain, gain_slope = step_response(scaled)
+        late, late_gain, late_slope = step_response(scaled, part)
         state = gain / (turn - decay)
-        slope = ((decay - gain) / scaled + state * decay) / (turn - decay)
-        late_slope = (part * late - late_gain) / scaled
+        slope = (gain_slope + state * decay) / (turn - decay)
         shift = turn**ahead
         value = shift * (late * state + late_gain)
         by_pole = shift * (late * (slope + part * state) + late_slope)
