@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from piezo_common.arrays import BoolArray, FloatArray
+from piezo_common.arrays import FloatArray
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.fitting.dataset import Dataset, dataset_of
 from piezo_identification.fitting.effect_fit import fit_effects
@@ -94,14 +94,6 @@ class JointFit:
         """Return the number of fitted parameters of effects."""
         return self.recurrence_count + sum(
             fitted_values(effect)[0].size for effect in self.effects)
-
-    def residual_um(self) -> list[tuple[FloatArray, BoolArray]]:
-        """Return the residual at the rows of each recording, and which of these are held out."""
-        regression = self.regression
-        residual_um = _residual_um(regression, self.effects)
-        good = regression.estimation | regression.validation
-        return [(residual_um[mask & good], regression.validation[mask & good])
-                for mask in regression.dataset.masks()]
 
 
 class JointProblem:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.fitting.evidence import correlated_scale
 from piezo_identification.fitting.joint_fit import JointFit
+from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, Extent, fitted_values, units_of_fitted
 
 WIDEST = 2.3
@@ -57,13 +58,16 @@ class Remainder:
     """Peak-to-peak and RMS values of the measured displacement."""
 
 
-def held_out_of(fit: JointFit) -> list[HeldOut]:
+def held_out_rows(regression: Regression, fit: Fit) -> list[HeldOut]:
     """Return the residual of a fit on the held-out rows of each recording."""
-    regression = fit.regression
-    good = regression.estimation | regression.validation
-    return [HeldOut(residual_um[held_out], regression.dataset.stretch[mask & good][held_out])
-            for (residual_um, held_out), mask in zip(
-                fit.residual_um(), regression.dataset.masks(), strict=True)]
+    residual_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
+    return [HeldOut(residual_um[rows], stretch[rows]) for rows in (
+        mask & regression.validation for mask in regression.dataset.masks())]
+
+
+def held_out_of(fit: JointFit) -> list[HeldOut]:
+    """Return the residual of a joint fit on the held-out rows of each recording."""
+    return held_out_rows(fit.regression, fit.regression.as_given(fit.effects))
 
 
 def expected_widths(effects: Sequence[Effect], extent: Extent | None = None) -> FloatArray:

@@ -11,19 +11,12 @@ from piezo_identification.conditioning.outlier_samples import outlier_text
 from piezo_identification.conditioning.waveforms import played
 from piezo_identification.diagnosis.comparison.criteria import Reason, Undecided
 from piezo_identification.fitting.effect_fit import fit_effects, impossible_effects
-from piezo_identification.fitting.model_weights import HeldOut, Remainder
+from piezo_identification.fitting.model_weights import HeldOut, Remainder, held_out_rows
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_identification.prediction import predict
 from piezo_models.cascade import StageModel
 from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.recording import Recording
-
-
-def held_out_rows(regression: Regression, fit: Fit) -> list[HeldOut]:
-    """Return the residual of a fit on the held-out rows of each recording."""
-    residual_um, stretch = fit.residual * regression.tolerance_um, regression.dataset.stretch
-    return [HeldOut(residual_um[rows], stretch[rows]) for rows in (
-        mask & regression.validation for mask in regression.dataset.masks())]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,6 @@ from piezo_identification.diagnosis.comparison.selection import (
     in_place_of_the_found,
     select_effects,
 )
-from piezo_identification.diagnosis.comparison.validation import held_out_rows
 from piezo_identification.diagnosis.joint.alternatives import (
     Alternative,
     Appearance,
@@ -39,7 +38,11 @@ from piezo_identification.fitting.dataset import Dataset, dataset_of, simulate_r
 from piezo_identification.fitting.evidence import log_evidence
 from piezo_identification.fitting.free_parameters import free_count
 from piezo_identification.fitting.joint_fit import JointFit, JointProblem
-from piezo_identification.fitting.model_weights import expected_widths, held_out_of
+from piezo_identification.fitting.model_weights import (
+    expected_widths,
+    held_out_of,
+    held_out_rows,
+)
 from piezo_identification.fitting.regression import (
     Fit,
     Regression,

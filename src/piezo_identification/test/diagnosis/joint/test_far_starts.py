@@ -7,6 +7,7 @@ from made_by_scipy import behind_mode, behind_play, logged, smooth_noise_v
 
 from piezo_identification.diagnosis.joint.alternatives import from_afar
 from piezo_identification.fitting.joint_fit import JointProblem
+from piezo_identification.fitting.model_weights import held_out_of
 from piezo_models.cascade import StageModel
 from piezo_models.effects.backlash import Backlash
 from piezo_models.hysteresis.preisach import PreisachModel
@@ -52,5 +53,4 @@ def test_a_play_is_taken_out_of_the_hysteresis_that_has_it(width_um):
     dynamics = found.model.dynamics
     assert dynamics.mode_frequencies_rad_per_s[0] == pytest.approx(MODE_RAD_PER_S, rel=0.01)
     assert dynamics.damping_ratios[0] == pytest.approx(DAMPING_RATIO, rel=0.1)
-    residual_um, held_out = found.residual_um()[0]
-    assert np.sqrt(np.mean(residual_um[held_out] ** 2)) < 0.02 * width_um
+    assert np.sqrt(held_out_of(found)[0].mean_square_um2) < 0.02 * width_um

@@ -13,6 +13,7 @@ from piezo_identification.diagnosis.joint.identification_recordings import (
 )
 from piezo_identification.fitting.joint_errors import JointErrors
 from piezo_identification.fitting.joint_fit import JointProblem
+from piezo_identification.fitting.model_weights import held_out_of
 from piezo_models.effects.periodic_disturbance import PeriodicDisturbance
 from piezo_models.effects.thermal_drift import ThermalDrift
 from piezo_models.linear.dynamics import ElectricVibrationDynamics
@@ -93,4 +94,4 @@ def test_recordings_of_the_identification_have_none_left_and_the_derivatives_are
 
 
 def _residual_um(fit):
-    return [np.sqrt(np.mean(each_um[held_out] ** 2)) for each_um, held_out in fit.residual_um()]
+    return [np.sqrt(held_out.mean_square_um2) for held_out in held_out_of(fit)]
