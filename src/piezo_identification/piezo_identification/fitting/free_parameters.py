@@ -205,7 +205,7 @@ def changed_model(model: StageModel, changes: FloatArray) -> StageModel:
     factors, additions = np.split(changes[count:], [surfaces.shape[1]])
     surface = 1.0 + WIDTHS.factor * (surfaces @ factors).reshape(
         hysteresis.density_um_per_v2.shape)
-    added = WIDTHS.reversible * _mean_gain(hysteresis) * additions @ hats
+    added = WIDTHS.reversible * hysteresis.mean_gain_um_per_v * additions @ hats
     return replace(model, hysteresis=replace(
         hysteresis,
         density_um_per_v2=hysteresis.density_um_per_v2 * np.maximum(surface, 0.0),
@@ -236,7 +236,7 @@ def lowest_changes(hysteresis: PreisachModel) -> FloatArray:
     at_knots = np.interp(_knots(hysteresis), (np.arange(size) + 0.5) / size,
                          hysteresis.reversible_um_per_v)
     return np.concatenate([np.full(surfaces.shape[1], -1.0 / WIDTHS.factor),
-                           -at_knots / (WIDTHS.reversible * _mean_gain(hysteresis))])
+                           -at_knots / (WIDTHS.reversible * hysteresis.mean_gain_um_per_v)])
 
 
 def free_count(model: StageModel) -> int:
@@ -327,7 +327,7 @@ def pieces_of(hysteresis: PreisachModel) -> tuple[PreisachModel, ...]:
     """
     surfaces, hats = _shapes(hysteresis)
     density, nothing = hysteresis.density_um_per_v2, 0.0 * hysteresis.reversible_um_per_v
-    gain = WIDTHS.reversible * _mean_gain(hysteresis)
+    gain = WIDTHS.reversible * hysteresis.mean_gain_um_per_v
     shares = [(WIDTHS.factor * density * surface.toarray().reshape(density.shape), nothing)
               for surface in surfaces.T]
     shares += [(0.0 * density, gain * hat) for hat in hats]
@@ -359,8 +359,3 @@ def _knots(hysteresis: PreisachModel) -> FloatArray:
 def _sparse_surfaces(size: int) -> csc_array:
     """Return the surfaces over all cells; at most four of them are nonzero at each cell."""
     return csc_array(np.column_stack([surface.ravel() for surface in factor_surfaces(size)]))
-
-
-def _mean_gain(hysteresis: PreisachModel) -> float:
-    low_um, high_um = hysteresis.output_range_um
-    return float((high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v))

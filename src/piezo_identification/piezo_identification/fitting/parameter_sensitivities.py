@@ -153,9 +153,7 @@ def _traded(hysteresis: PreisachModel, part: float) -> PreisachModel:
 
     A negative fraction makes at most the whole reversible part irreversible.
     """
-    low_um, high_um = hysteresis.output_range_um
-    gain_um_per_v = (high_um - low_um) / (hysteresis.voltage_max_v - hysteresis.voltage_min_v)
-    reversible = hysteresis.reversible_um_per_v
+    gain_um_per_v, reversible = hysteresis.mean_gain_um_per_v, hysteresis.reversible_um_per_v
     rest = np.maximum(gain_um_per_v - reversible, np.finfo(float).eps * gain_um_per_v)
     part = max(part, -float(np.min(reversible / rest)))
     return replace(
