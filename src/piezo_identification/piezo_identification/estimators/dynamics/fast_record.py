@@ -13,7 +13,6 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.settling import RINGING
 from piezo_identification.estimators.dynamics.fast_dynamics import (
-    STEP,
     ModeOrder,
     differentiated,
     fast_dynamics_of,
@@ -352,10 +351,7 @@ class FastRecord:
         """Residual, its Jacobian (after Kaufman), poles and residues."""
         check_cancelled()
         vector, delay = unknowns[:-1], float(unknowns[-1])
-        steps = STEP * np.eye(vector.size)
-        all_poles = poles_and_residues(
-            np.concatenate([vector[None], vector + steps, vector - steps]), order)[0]
-        poles = all_poles[0]
+        poles, _, by_vector, _ = differentiated(vector, order)
         answers = self.input.responses(poles, delay, self.kept)
         one, other = answers.value[:, 1::2], answers.value[:, 2::2]
         apart = poles[1::2] - poles[2::2]
@@ -378,7 +374,6 @@ class FastRecord:
         residues[0], residues[1::2], residues[2::2] = gains[0], even + odd, even - odd
         if not with_slopes:
             return residual, np.empty((residual.size, 0)), poles, residues
-        by_vector = (all_poles[1 : vector.size + 1] - all_poles[vector.size + 1 :]).T / (2.0 * STEP)
         slopes = np.column_stack([
             (answers.by_pole @ (residues[:, None] * by_vector)).real,
             (answers.by_delay @ residues).real])
