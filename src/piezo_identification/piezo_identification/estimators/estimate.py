@@ -225,6 +225,11 @@ def independent_share(residual: FloatArray) -> float:
     return (1.0 - alike) / (1.0 + alike)
 
 
+def without_span(columns: FloatArray, span: FloatArray) -> FloatArray:
+    """Return columns with the part along orthonormal columns removed."""
+    return np.asarray(columns - span @ (span.T @ columns))
+
+
 def parameter_covariance(
     jacobian: FloatArray, residual: FloatArray, parameters: int | None = None,
 ) -> FloatArray:

@@ -40,6 +40,7 @@ from piezo_identification.estimators.estimate import (
     order_trial,
     parameter_covariance,
     propagated,
+    without_span,
 )
 from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -311,9 +312,8 @@ class _CreepRecord:
             # A rate slower than the record may appear in the initial state only, without a gain.
             free = np.delete(basis, gains, axis=1)
             span = np.linalg.qr(free)[0]
-            projected = basis[:, gains] - span @ (span.T @ basis[:, gains])
             positive = nonnegative_least_squares(
-                projected, self.displacement - span @ (span.T @ self.displacement))[0]
+                without_span(basis[:, gains], span), without_span(self.displacement, span))[0]
             others = np.linalg.lstsq(
                 free, self.displacement - basis[:, gains] @ positive, rcond=1e-12)[0]
             coefficients = np.concatenate([others[:2], positive, others[2:]])

@@ -29,6 +29,7 @@ from piezo_identification.estimators.estimate import (
     ROWS_OF_DECAY,
     Estimate,
     creep_of_partial_fractions,
+    without_span,
 )
 from piezo_identification.fitting.nonnegative_regression import nonnegative_least_squares
 from piezo_models.linear.dynamics import CreepDynamics
@@ -219,9 +220,8 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
     """Fit positive parts of exponentials, and keep those that are significant."""
     response, exponentials = _responses(record, free, rates)
     span = independent(record.fixed)
-    columns = np.column_stack([response, exponentials])
-    columns -= span @ (span.T @ columns)
-    target = record.measured_um - span @ (span.T @ record.measured_um)
+    columns = without_span(np.column_stack([response, exponentials]), span)
+    target = without_span(record.measured_um, span)
     used = np.arange(rates.size)
     while used.size:
         chosen = columns[:, [0, *(1 + used)]]

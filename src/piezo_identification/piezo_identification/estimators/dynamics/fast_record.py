@@ -19,6 +19,7 @@ from piezo_identification.estimators.dynamics.fast_dynamics import (
     poles_and_residues,
     with_lags_apart,
 )
+from piezo_identification.estimators.estimate import without_span
 from piezo_identification.estimators.poles.pole_responses import HeldInput
 from piezo_identification.estimators.poles.spectral_input import (
     SpectralInput,
@@ -177,7 +178,7 @@ class FastRecord:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_span", independent(self.fixed))
-        object.__setattr__(self, "_target", _without(self.measured_um, self._span))
+        object.__setattr__(self, "_target", without_span(self.measured_um, self._span))
 
     @property
     def linear_parameters(self) -> int:
@@ -305,7 +306,7 @@ class FastRecord:
             real_products([answers.by_delay], [residues[:, None]]),
         ])
         span, target = self._projected_out(poles)
-        columns = _without(columns, span)
+        columns = without_span(columns, span)
         response, slopes = columns[:, 0], columns[:, 1:]
         energy = response @ response
         gain = response @ target / energy
@@ -341,7 +342,7 @@ class FastRecord:
             columns.append(answer.real)
             all_poles.append(poles[0])
         span, target = self._projected_out(np.unique(np.concatenate(all_poles)))
-        basis = _without(np.column_stack(columns), span)
+        basis = without_span(np.column_stack(columns), span)
         gains: FloatArray = np.linalg.lstsq(basis, target, rcond=COLLINEAR)[0].astype(float)
         return gains, float(np.sum((target - basis @ gains) ** 2))
 
@@ -360,7 +361,7 @@ class FastRecord:
         basis = np.column_stack([
             answers.value[:, :1], one + other, (one - other) * (scale / apart)]).real
         span, target = self._projected_out(poles)
-        basis = _without(basis, span)
+        basis = without_span(basis, span)
         norms = np.linalg.norm(basis, axis=0)
         left, values, right = np.linalg.svd(basis / norms, full_matrices=False)
         kept = values > COLLINEAR * values[0]
@@ -377,7 +378,7 @@ class FastRecord:
         slopes = np.column_stack([
             (answers.by_pole @ (residues[:, None] * by_vector)).real,
             (answers.by_delay @ residues).real])
-        slopes = _without(slopes, span)
+        slopes = without_span(slopes, span)
         return residual, left @ (left.T @ slopes) - slopes, poles, residues
 
     def gain(self, fit: FastFit) -> float:
@@ -385,7 +386,7 @@ class FastRecord:
         poles, residues = (each[0] for each in poles_and_residues(fit.vector[None], fit.order))
         response = (self.input.responses(poles, fit.delay, self.kept).value @ residues).real
         span, target = self._projected_out(poles)
-        response = _without(response[:, None], span)[:, 0]
+        response = without_span(response[:, None], span)[:, 0]
         return float(response @ target / (response @ response))
 
     def contradicts_loops(self, fit: FastFit) -> bool:
@@ -435,12 +436,7 @@ class FastRecord:
         if isinstance(self.input, HeldInput):
             return self._span, self._target
         transients = independent(self.input.transients(poles), self._span)
-        return np.column_stack([self._span, transients]), _without(self._target, transients)
-
-
-def _without(columns: FloatArray, span: FloatArray) -> FloatArray:
-    """Return columns with the part along orthonormal columns removed."""
-    return np.asarray(columns - span @ (span.T @ columns))
+        return np.column_stack([self._span, transients]), without_span(self._target, transients)
 
 
 class _Remembered:
@@ -484,6 +480,6 @@ def independent(columns: FloatArray, span: FloatArray | None = None) -> FloatArr
     # A decay that ends before the record begins is zero throughout.
     columns = columns[:, norms > 0.0] / norms[norms > 0.0]
     span = np.empty((len(columns), 0)) if span is None else span
-    left, values, _ = np.linalg.svd(_without(columns, span), full_matrices=False)
+    left, values, _ = np.linalg.svd(without_span(columns, span), full_matrices=False)
     # Small columns contain rounding errors along `span`, too.
-    return _without(left[:, values > COLLINEAR], span)
+    return without_span(left[:, values > COLLINEAR], span)

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from piezo_common.arrays import BoolArray, ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.estimators.estimate import finest_power, independent_rows
+from piezo_identification.estimators.estimate import finest_power, independent_rows, without_span
 from piezo_identification.estimators.frequency_response.rational_form import (
     DELAY,
     LAG,
@@ -264,7 +264,7 @@ class ResponseSearch:
         """Return the residual at the coarse frequencies, and a basis of what a fit can change."""
         error, slopes = self.residual(fit.form, fit.vector, self._coarse)
         basis = np.linalg.qr(slopes[:, fit.free])[0]
-        return _orthogonal(error, basis), basis
+        return without_span(error, basis), basis
 
     def _further_pair(self, fit: ResponseFit) -> Reduced:
         """Return the form with the creep pair that explains most of the residual."""
@@ -273,7 +273,7 @@ class ResponseSearch:
         poles = np.geomspace(0.3 * rate[0], np.sqrt(rate[0] * rate[-1]), CREEP_STARTS)
         whole = self.weight[self._coarse] * fit.form.response(fit.vector, rate)[0]
         pair = poles / (1j * rate[:, None] + poles) * whole[:, None]
-        columns = _orthogonal(np.vstack([pair.real, pair.imag]), basis)
+        columns = without_span(np.vstack([pair.real, pair.imag]), basis)
         power = np.maximum(np.sum(columns**2, axis=0), np.finfo(float).tiny)
         along = -error @ columns
         best = int(np.argmax(along**2 / power))
@@ -291,7 +291,7 @@ class ResponseSearch:
         ratio = 1j * rate[:, None] / frequency
         position = (self.weight[self._coarse] * head)[:, None] / (
             ratio**2 + 2.0 * damping * ratio + 1.0)
-        columns = [_orthogonal(np.vstack([part.real, part.imag]), basis)
+        columns = [without_span(np.vstack([part.real, part.imag]), basis)
                    for part in (position, position * ratio)]
         pp, pv, vv = (np.sum(columns[i] * columns[j], axis=0)
                       for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -406,10 +406,6 @@ def _leads_to(form: RationalForm, wanted: ResponseOrder) -> bool:
 def _grants(form: RationalForm, wanted: ResponseOrder) -> bool:
     return wanted.grants(ResponseOrder(
         form.creep_pairs, form.modes, form.antiresonances, is_coupled=form.is_parallel))
-
-
-def _orthogonal(columns: FloatArray, basis: FloatArray) -> FloatArray:
-    return columns - basis @ (basis.T @ columns)
 
 
 def weight_of_noise(residual: ComplexArray, gain: ComplexArray) -> FloatArray:
