@@ -79,3 +79,11 @@ def lower_triangle(values: FloatArray, size: int) -> FloatArray:
     square = np.zeros((size, size))
     square[np.tril_indices(size)] = values
     return square
+
+
+def per_volt(bounded_um: FloatArray, size: int,
+             levels_v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the density (um/V^2) and the reversible part (um/V) of the cells of a grid."""
+    density_um, reversible_um = np.split(bounded_um, [-size])
+    width_v = (levels_v[-1] - levels_v[0]) / size
+    return lower_triangle(density_um, size) / width_v**2, reversible_um / width_v

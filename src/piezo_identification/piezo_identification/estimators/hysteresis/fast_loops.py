@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.cancellation import check_cancelled
-from piezo_identification.estimators.hysteresis.density_estimate import lower_triangle
+from piezo_identification.estimators.hysteresis.density_estimate import per_volt
 from piezo_identification.estimators.hysteresis.dynamics_inverse import closed_signal, samples_added
 from piezo_identification.estimators.hysteresis.equations import bending_operator
 from piezo_identification.estimators.hysteresis.everett_regression import everett_regression
@@ -169,11 +169,8 @@ class LoopRegression:
             responses.T @ fixed / count, fixed.T @ fixed / count,
             fixed.T @ self._measured_um / count)
         bounded = np.maximum(bounded_operator(CELLS) @ solution, 0.0)
-        density, reversible = np.split(bounded, [-CELLS])
-        width_v = (self._levels_v[-1] - self._levels_v[0]) / CELLS
-        return PreisachModel(
-            self._levels_v[0], self._levels_v[-1], lower_triangle(density, CELLS) / width_v**2,
-            0.0, reversible / width_v)
+        density, reversible = per_volt(bounded, CELLS, self._levels_v)
+        return PreisachModel(self._levels_v[0], self._levels_v[-1], density, 0.0, reversible)
 
     def _columns(self, response: Response) -> FloatArray:
         """Responses to the Everett values, and the other columns of each recording."""

@@ -14,6 +14,7 @@ from piezo_identification.estimators.hysteresis.density_estimate import (
     LINE,
     DensityEstimate,
     lower_triangle,
+    per_volt,
 )
 from piezo_identification.estimators.hysteresis.equations import (
     HysteresisSegment,
@@ -173,11 +174,11 @@ def density_of_segments(
             reversible_um_per_v=np.array([
                 unknowns[-size:].mean() * size / (levels_v[-1] - levels_v[0])]))
     levels_v = np.linspace(levels_v[0], levels_v[-1], parts * size + 1)
-    density, reversible = _per_volt(bounded_operator(size) @ unknowns, size, levels_v)
+    density, reversible = per_volt(bounded_operator(size) @ unknowns, size, levels_v)
     if not penalties.is_reversible:
         reversible = 0.0 * reversible
     if plays is not None:
-        of_plays = _per_volt(
+        of_plays = per_volt(
             bounded_operator(parts * size) @ plays.unknowns(parts * size), parts * size, levels_v)
         cell = np.arange(parts * size) // parts
         square = np.ix_(cell, cell)
@@ -192,14 +193,6 @@ def density_of_segments(
         smoothing_weight=penalties.smoothing, reversible_um_per_v=np.maximum(reversible, 0.0),
         translation_weight=penalties.translation, plays=plays,
     )
-
-
-def _per_volt(bounded_um: FloatArray, size: int,
-              levels_v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the density (um/V^2) and the reversible part (um/V) of the cells of a grid."""
-    density_um, reversible_um = np.split(bounded_um, [-size])
-    width_v = (levels_v[-1] - levels_v[0]) / size
-    return lower_triangle(density_um, size) / width_v**2, reversible_um / width_v
 
 
 def _mean_in_cells(density: FloatArray, parts: int) -> FloatArray:
