@@ -143,15 +143,12 @@ def _grown(regression: LoopRegression, lag: _Point) -> _Point:
                   for frequency in regression.peaks(fit, best.response, PEAKS)
                   for damping in TRIED_DAMPINGS for delay in {best.delay, 0.0}]
         starts.sort(key=lambda point: regression.fit(point.response).cost)
-        found = [_polished(regression, point) for point in starts[:FOLLOWED]]
-        fits: list[tuple[float, int, LoopFit]] = []
-        for place, point in enumerate(found):
-            each = regression.fit(point.response)
-            fits.append((each.cost, place, each))
-        if not fits or min(fits)[0] > (1.0 - LEAST_FALL) * fit.cost:
+        refined = [_polished(regression, point) for point in starts[:FOLLOWED]]
+        found = min(((regression.fit(point.response), point) for point in refined),
+                    key=lambda each: each[0].cost, default=None)
+        if found is None or found[0].cost > (1.0 - LEAST_FALL) * fit.cost:
             break
-        _, place, fit = min(fits)
-        best = found[place]
+        fit, best = found
     return best
 
 
