@@ -69,8 +69,8 @@ class NonlinearDistortion:
     @property
     def linear_um(self) -> float:
         """Response at excited lines, less noise and odd distortion."""
-        power = self._power_um2(self.is_excited, int(np.count_nonzero(self.is_excited)))
-        odd = self._power_um2(self.is_odd_detection, int(np.count_nonzero(self.is_excited)))
+        power = self._power_um2(self.is_excited, self.is_excited)
+        odd = self._power_um2(self.is_odd_detection, self.is_excited)
         return float(np.sqrt(max(0.0, power - odd)))
 
     @property
@@ -81,8 +81,7 @@ class NonlinearDistortion:
     @property
     def even_um(self) -> float:
         """Even distortion, less the noise."""
-        return float(np.sqrt(
-            self._power_um2(self.is_even, int(np.count_nonzero(self.is_even)))))
+        return float(np.sqrt(self._power_um2(self.is_even, self.is_even)))
 
     @property
     def odd_um(self) -> float:
@@ -90,8 +89,7 @@ class NonlinearDistortion:
 
         It is assumed to be as large at excited lines as at omitted odd lines.
         """
-        return float(np.sqrt(
-            self._power_um2(self.is_odd_detection, int(np.count_nonzero(~self.is_even)))))
+        return float(np.sqrt(self._power_um2(self.is_odd_detection, ~self.is_even)))
 
     @property
     def significant_um(self) -> float:
@@ -103,12 +101,12 @@ class NonlinearDistortion:
         """Return an amplitude in percent of the response."""
         return 100.0 * part_um / self.answer_um
 
-    def _power_um2(self, lines: BoolArray, count: int) -> float:
-        """Return the power of `count` lines from the mean over some, less the noise."""
+    def _power_um2(self, lines: BoolArray, counted: BoolArray) -> float:
+        """Return the power of the counted lines from the mean over some, less the noise."""
         if not np.any(lines):
             return 0.0
         power = self.amplitude_um[lines] ** 2 - self.noise_um[lines] ** 2 / self.periods
-        return max(0.0, float(np.mean(power))) * count
+        return max(0.0, float(np.mean(power))) * int(np.count_nonzero(counted))
 
 
 def distortion_of_signal(voltage_v: FloatArray, signal_um: FloatArray, sample_period_s: float,
