@@ -84,8 +84,9 @@ def coupled_vector(poles: ComplexArray, residues: ComplexArray) -> FloatArray:
 
 
 def values_of(vector: FloatArray, order: ModeOrder) -> FloatArray:
-    """Physical values of a vector, in its order."""
-    return np.concatenate([np.exp(vector[: order.positive]), vector[order.positive :]])
+    """Physical values of a vector, (P,), or of several, (B, P), in their order."""
+    return np.concatenate(
+        [np.exp(vector[..., : order.positive]), vector[..., order.positive :]], axis=-1)
 
 
 def fast_dynamics_of(
@@ -169,9 +170,7 @@ def poles_and_residues(
     For vectors of `fast_dynamics_of`, (B, P), poles and residues are (B, n): lag, sensor lag, then
     the modes in pairs. The response is the sum of r / (s - p).
     """
-    values = vectors.copy()
-    values[:, : order.positive] = np.exp(vectors[:, : order.positive])
-    main, side_w, side_zeta, sensor, parts, *velocities = _split(values, order)
+    main, side_w, side_zeta, sensor, parts, *velocities = _split(values_of(vectors, order), order)
     tau, w, zeta, wz, zetaz = np.split(
         main, np.cumsum([1, order.modes, order.modes, order.antiresonances]), axis=-1)
     lags = -1.0 / np.concatenate([tau, _away_from(sensor, tau)], axis=-1)
