@@ -41,13 +41,10 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
     of quick simulations; see `SimulatedRecording.simulate`.
     """
     guesses = [fitted_values(effect, regression.dataset.extent) for effect in effects]
-    sizes = np.cumsum([0, *(values.size for values, _, _ in guesses)])
+    ends = np.cumsum([values.size for values, _, _ in guesses])[:-1]
 
     def effects_at(vector: FloatArray) -> tuple[Effect, ...]:
-        return tuple(
-            with_fitted_values(effect, vector[start:end])
-            for effect, start, end in zip(effects, sizes[:-1], sizes[1:], strict=True)
-        )
+        return tuple(map(with_fitted_values, effects, np.split(vector, ends)))
 
     def remainder(vector: FloatArray) -> FloatArray:
         check_cancelled()
