@@ -6,7 +6,7 @@ creep recording, and a fit of lag and modes alone would be biased by it. An inex
 leaves large slow errors, which such a fit would describe by modes that no structure has.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from piezo_common.arrays import FloatArray
 from piezo_identification.conditioning.row_alignment import SIGNIFICANT
 from piezo_identification.conditioning.settling import RINGING, SLOWER_THAN_MODES
-from piezo_identification.estimators.dynamics.fast_dynamics import ModeOrder
 from piezo_identification.estimators.dynamics.fast_record import FastRecord, FreeFit, independent
-from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH, fit_output_error
+from piezo_identification.estimators.dynamics.output_error import ROWS_OF_SEARCH
 from piezo_identification.estimators.dynamics.pole_search import (
     MOST_MODES,
     free_fits,
@@ -71,18 +70,18 @@ class FastCreep:
 
 def fit_with_fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
-    mode_count: int | None = None, delay: float | None = None, among: Collection[ModeOrder] = (),
+    fit: Callable[[FastRecord], Estimate],
 ) -> Estimate:
-    """Fit the dynamics of least output error, with fast creep if the record shows it.
+    """Fit the dynamics of a record, with fast creep if the record shows it.
 
-    `record_without` returns the record with a given creep removed; the other arguments are those of
-    `fit_output_error`. The `creep` of the estimate is in addition to the known one.
+    `record_without` returns the record with a given creep removed. The `creep` of the estimate is
+    in addition to the known one.
     """
     made = cache(record_without)
     found = fast_creep(made, creep)
     if found is None:
-        return fit_output_error(made(creep), mode_count, delay, among)
-    again = fit_output_error(made(joined_creep(creep, found.model)), mode_count, delay, among)
+        return fit(made(creep))
+    again = fit(made(joined_creep(creep, found.model)))
     return replace(again, creep=found.model, creep_deviations=found.deviations)
 
 

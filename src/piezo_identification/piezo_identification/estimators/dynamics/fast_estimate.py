@@ -8,6 +8,7 @@ the response.
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -129,32 +130,30 @@ def estimate_dynamics(
     >>> print(np.round(estimate.model.mode_frequencies_rad_per_s))
     [1000.]
     """
+    fit = partial(fit_output_error, mode_count=mode_count, delay=delay, among=among)
     given = listed(recordings)
     parts = [played_at_the_clock(recording) for recording in given]
     squares = [square_part(part) for part in parts]
     waves = [wave for square in squares if (wave := two_levels(square)) is not None]
     if len(waves) == len(parts) == 1 and _is_periodic(parts[0], waves[0]):
-        return fit_with_fast_creep(
-            lambda known: mean_period(parts[0], known), creep, mode_count, delay, among)
+        return fit_with_fast_creep(lambda known: mean_period(parts[0], known), creep, fit)
     if len(waves) == len(parts):
         levels = [wave.level for wave in waves]
         timed = with_edges_between(
             _record(squares, levels, creep), [generator_edges(wave) for wave in waves])
         return fit_with_fast_creep(
             lambda known: replace(_record(squares, levels, known), input=timed.input,
-                                  phase_room=timed.phase_room),
-            creep, mode_count, delay, among)
+                                  phase_room=timed.phase_room), creep, fit)
     if hysteresis is not None:
         entering_um = [through_hysteresis(recording, part, hysteresis)
                        for recording, part in zip(given, parts, strict=True)]
         return fit_with_fast_creep(
             lambda known: project_out_slow_error(replace(
-                _record(parts, entering_um, known), is_driven_by_loops=True)),
-            creep, mode_count, delay, among)
+                _record(parts, entering_um, known), is_driven_by_loops=True)), creep, fit)
     without_hysteresis = _record(
         parts, [np.asarray(part.voltage_v, dtype=float) for part in parts], creep)
     linear = fit_output_error(without_hysteresis, MODES_TO_DECIDE, delay)
-    estimate = _with_hysteresis(parts, creep, mode_count, delay, among)
+    estimate = fit(_behind_hysteresis(parts, creep))
     if estimate.residual_rms < linear.residual_rms:
         return estimate
     return fit_output_error(without_hysteresis, mode_count, delay)
@@ -198,11 +197,8 @@ def mean_period(recording: Recording, creep: CreepDynamics) -> FastRecord:
         np.arange(length), measured_um, fold(drift))
 
 
-def _with_hysteresis(
-    parts: Sequence[Recording], creep: CreepDynamics, mode_count: int | None,
-    delay: float | None, among: Collection[ModeOrder],
-) -> Estimate:
-    """Fit the dynamics behind the hysteresis estimated from the same recordings."""
+def _behind_hysteresis(parts: Sequence[Recording], creep: CreepDynamics) -> FastRecord:
+    """Join recordings behind the hysteresis that is estimated from them."""
     loops = [
         FastLoops(np.asarray(part.voltage_v, dtype=float),
                   remove_creep(part.displacement_um, creep, part.sample_period_s),
@@ -210,8 +206,7 @@ def _with_hysteresis(
         for part in parts]
     found = hysteresis_with_dynamics(loops)
     entering = [found.entering_um(each) for each in loops]
-    record = project_out_slow_error(_record(parts, entering, creep))
-    return fit_output_error(record, mode_count, delay, among)
+    return project_out_slow_error(_record(parts, entering, creep))
 
 
 def _record(
