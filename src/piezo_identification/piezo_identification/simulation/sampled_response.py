@@ -55,26 +55,14 @@ def behind_lags(
     return system, sum(delays_s)
 
 
-def respond(
-    system: control.StateSpace, input_um: FloatArray, sample_period_s: float, samples: int,
-    delay_s: float = 0.0, at: NDArray[np.intp] | None = None, parts: int = 1,
-) -> FloatArray:
-    """Return the response that begins in equilibrium with the first input, (N,) or (n,).
+class SampledSystem:
+    """A continuous system sampled like a recording that begins in equilibrium.
 
     Each of the inputs, (N parts,), is held for a part of a sample period, and each displacement is
     the mean of `samples` samples. The delay after the system is exact for any fraction of a sample
     period. If it is negative, the response is read after the input changes, and the last input is
-    held. For means, the delay must be 0, and a sample period has one part. `at`, (n,), holds the
-    sorted samples to return, by default all; a few samples cost less.
-    """
-    sampled = SampledSystem(system, sample_period_s, samples, delay_s, parts)
-    return sampled.response(input_um) if at is None else sampled.response_at(input_um, at)[:, 0]
-
-
-class SampledSystem:
-    """A continuous system sampled like a recording; see `respond` for the parameters.
-
-    It may have several outputs.
+    held. For means, the delay must be 0, and a sample period has one part. The system may have
+    several outputs.
     """
 
     def __init__(self, system: control.StateSpace, sample_period_s: float, samples: int,
@@ -107,7 +95,7 @@ class SampledSystem:
         return found * z ** -float(self._late)
 
     def response_at(self, input_um: FloatArray, at: NDArray[np.intp]) -> FloatArray:
-        """Return all outputs at a few sorted samples, (n, outputs)."""
+        """Return all outputs at a few sorted samples, (n, outputs), which costs less."""
         read = at * self._parts - self._late
         beyond = int(read[-1]) + 1 - input_um.size if read.size else 0
         if beyond > 0:

@@ -321,7 +321,7 @@ class SimulatedRecording:
 
     def respond(self, system: control.StateSpace, input_um: FloatArray, delay_s: float = 0.0,
                 at: NDArray[np.intp] | None = None) -> FloatArray:
-        """Return the output of a continuous system, sampled like the recording; see `respond`."""
+        """Return the output of a continuous system at all samples, or at the sorted ones `at`."""
         sampled = self.sampled(system, delay_s, input_um.size // self.time_s.size)
         return sampled.response(input_um) if at is None else sampled.response_at(input_um, at)[:, 0]
 

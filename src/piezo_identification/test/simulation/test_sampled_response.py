@@ -9,7 +9,6 @@ from piezo_identification.simulation.sampled_response import (
     behind_lags,
     leading_lags,
     mean_zoh,
-    respond,
 )
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.delay import Delay
@@ -26,7 +25,7 @@ def levels_um():
 
 def finely(system, levels_um):
     """Response at a hundred instants of each sample period, from equilibrium."""
-    return respond(system, np.repeat(levels_um, FINE), PERIOD_S / FINE, 1)
+    return SampledSystem(system, PERIOD_S / FINE, 1).response(np.repeat(levels_um, FINE))
 
 
 @pytest.mark.parametrize("count", [2, 7, 40])
@@ -57,7 +56,7 @@ def test_a_delay_is_exact_whatever_part_of_a_sample_it_is(plant, levels_um, dela
     before = np.full(min(late, fine.size), fine[0])
     expected = np.concatenate([before, fine[: fine.size - before.size]])[::FINE]
     np.testing.assert_allclose(
-        respond(system, levels_um, PERIOD_S, 1, delay_s), expected, atol=1e-9)
+        SampledSystem(system, PERIOD_S, 1, delay_s).response(levels_um), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("read_at", [0.37, 1.0, 1.4])
@@ -65,8 +64,8 @@ def test_a_reading_later_than_the_input_is_exact_and_the_last_input_goes_on(
         plant, levels_um, read_at):
     held_um = np.append(levels_um, [levels_um[-1]] * 2)
     expected = finely(plant.linear(), held_um)[round(read_at * FINE) :: FINE][: levels_um.size]
-    np.testing.assert_allclose(
-        respond(plant.linear(), levels_um, PERIOD_S, 1, -read_at * PERIOD_S), expected, atol=1e-9)
+    sampled = SampledSystem(plant.linear(), PERIOD_S, 1, -read_at * PERIOD_S)
+    np.testing.assert_allclose(sampled.response(levels_um), expected, atol=1e-9)
 
 
 def test_a_lag_of_the_sensor_is_exact_between_the_samples(plant, levels_um):
@@ -74,7 +73,8 @@ def test_a_lag_of_the_sensor_is_exact_between_the_samples(plant, levels_um):
     system, delay_s = behind_lags(plant.linear(), (lag,))
     assert delay_s == 0.0
     expected = lag.apply(finely(plant.linear(), levels_um), PERIOD_S / FINE)[::FINE]
-    np.testing.assert_allclose(respond(system, levels_um, PERIOD_S, 1), expected, atol=2e-4)
+    np.testing.assert_allclose(
+        SampledSystem(system, PERIOD_S, 1).response(levels_um), expected, atol=2e-4)
 
 
 def test_lags_behind_something_bent_act_on_the_samples():

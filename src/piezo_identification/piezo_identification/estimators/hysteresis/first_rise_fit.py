@@ -14,7 +14,7 @@ from piezo_identification.conditioning.waveforms import (
     with_voltage_before,
 )
 from piezo_identification.simulation.past_search import NEAR_THE_END
-from piezo_identification.simulation.sampled_response import respond
+from piezo_identification.simulation.sampled_response import SampledSystem
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
@@ -134,6 +134,6 @@ def without_first_rise(
     shown_v = highest_before(recording)
     missing_um = first_rise.simulate(
         part.voltage_v, shown_v if highest_v is None else max(highest_v, shown_v))
-    missing_um = respond(creep.state_space() * dynamics.state_space(), missing_um,
-                         part.sample_period_s, samples_per_mean(part))
-    return replace(part, displacement_um=part.displacement_um - missing_um)
+    behind = SampledSystem(creep.state_space() * dynamics.state_space(), part.sample_period_s,
+                           samples_per_mean(part))
+    return replace(part, displacement_um=part.displacement_um - behind.response(missing_um))
