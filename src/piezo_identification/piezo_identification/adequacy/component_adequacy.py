@@ -8,7 +8,7 @@ from typing import Any
 from piezo_common.side_by_side import side_by_side
 from piezo_identification.adequacy.component_residual import component_residual
 from piezo_identification.adequacy.lack_of_fit import lack_of_fit
-from piezo_identification.adequacy.residual_location import ResidualLocation, residual_location
+from piezo_identification.adequacy.residual_location import residual_location
 from piezo_identification.conditioning.segments import experiment_of, testable
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_models.cascade import StageModel
@@ -101,21 +101,21 @@ def _component_adequacy(
     fit = lack_of_fit(residual)
     left = advice = ""
     if not fit.is_adequate:
-        location = residual_location(residual, fit)
-        left = f"{fit.systematic_rms_um:.3g} um beyond the noise, {location.words}"
-        advice = advice_on(component, model, location, residual.path, recordings, is_asked_for)
+        band_hz, words = residual_location(residual, fit)
+        left = f"{fit.systematic_rms_um:.3g} um beyond the noise, {words}"
+        advice = advice_on(component, model, band_hz, residual.path, recordings, is_asked_for)
     return ComponentAdequacy(
         fit.residual_rms_um, fit.noise_rms_um, fit.ratio,
         ADEQUATE if fit.is_adequate else INADEQUATE, residual.error_percent, fit.noise_from, left,
         advice)
 
 
-def advice_on(component: str, model: StageModel, location: ResidualLocation, path: str,
+def advice_on(component: str, model: StageModel, band_hz: tuple[float, float], path: str,
               recordings: Mapping[str, Any], is_asked_for: bool = False) -> str:
     """Return advice on an inadequate component, whose number of parts the user may have given."""
     steps = []
     if component == "hysteresis":
-        slow = location.band_hz[1] < SLOW_HZ
+        slow = band_hz[1] < SLOW_HZ
         missing = "creep" if slow else "dynamics"
         if missing not in recordings:
             steps.append(f"give a recording for --{missing}" + (

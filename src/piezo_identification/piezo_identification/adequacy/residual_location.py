@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Locate a residual in frequency, time and voltage."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.signal import detrend, periodogram
 
@@ -23,18 +21,13 @@ LOPSIDED = 2.0
 """Ratio of the mean squares for rising and falling voltage above which the direction is named."""
 
 
-@dataclass(frozen=True)
-class ResidualLocation:
-    """The location of most of a residual."""
+def residual_location(
+    residual: ComponentResidual, fit: LackOfFit,
+) -> tuple[tuple[float, float], str]:
+    """Find the frequencies, times and voltages at which a residual is largest.
 
-    band_hz: tuple[float, float]
-    """Band that contains the middle half of its power."""
-    words: str
-    """Description of frequency, time and voltage."""
-
-
-def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLocation:
-    """Find the frequencies, times and voltages at which a residual is largest."""
+    Return the band that contains the middle half of its power, in Hz, and a description.
+    """
     values_um = fit.sequence_um
     if residual.frequency_hz is None:
         band_hz = _band(*periodogram(detrend(values_um, type="constant"),
@@ -49,7 +42,7 @@ def residual_location(residual: ComponentResidual, fit: LackOfFit) -> ResidualLo
         words.append(_time_words(residual, values_um))
         if not residual.steps.size:
             words[-1] += f" and {_voltage_words(residual, values_um)}"
-    return ResidualLocation(band_hz, ", ".join(words))
+    return band_hz, ", ".join(words)
 
 
 def _band(frequency_hz: FloatArray, power: FloatArray) -> tuple[float, float]:

@@ -379,12 +379,12 @@ def conclude(model: StageModel, given: Conditioned, selection: Selection, valida
         effects.append(outliers.entry(regression, fit))
         extended = replace(extended, effects=(*extended.effects, outliers.effect(regression)))
     effects.sort(key=lambda entry: -entry["error_reduction_percent"])
-    errors = validation.errors(fit if is_changed else None)
+    before, after, where = validation.errors(fit if is_changed else None)
     undecided = _undecided(selection, decision, effects)
     return Diagnosis(
         verdict=decision.verdict, effects=effects, model=extended,
-        before=errors.before, after=errors.after,
-        noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=errors.where,
+        before=before, after=after,
+        noise_floor_um=float(np.median(regression.noise.noise_um)), holdout=where,
         undecided=undecided,
         confounded_with=_confounded_with(selection, effects),
         left=_description(regression, decision, predictable),

@@ -19,17 +19,6 @@ from piezo_models.measures import e_y_percent
 from piezo_recorder.reading.recording import Recording
 
 
-@dataclass(frozen=True)
-class HeldOutErrors:
-    """Errors of the model as given and of the extended one, on the same samples."""
-
-    before: dict[str, float]
-    after: dict[str, float]
-    """`rms_um` and `e_y_percent`."""
-    where: dict[str, object]
-    """`source`, and number of `samples`."""
-
-
 class Validation:
     """Samples that were not fitted, of another recording or of stretches of those diagnosed.
 
@@ -52,13 +41,17 @@ class Validation:
             return "stretches of the recordings that were not fitted"
         return str(self.holdout.path)
 
-    def errors(self, fit: Fit | None) -> HeldOutErrors:
-        """Return errors of the model as given and of a fit, or of it alone, on the same samples."""
+    def errors(
+        self, fit: Fit | None,
+    ) -> tuple[dict[str, float], dict[str, float], dict[str, object]]:
+        """Return errors of the model as given and of a fit, or of it alone, on the same samples.
+
+        They are `rms_um` and `e_y_percent`. Also return the `source` and number of `samples`.
+        """
         given, extended = self._given, self._of(fit)
         good = given.good & extended.good
-        return HeldOutErrors(
-            given.errors(good), extended.errors(good),
-            {"source": self.source, "samples": int(np.count_nonzero(good))})
+        return (given.errors(good), extended.errors(good),
+                {"source": self.source, "samples": int(np.count_nonzero(good))})
 
     def accepted(self, fit: Fit) -> tuple[Fit, dict[str, Undecided]]:
         """Remove the effects that are impossible or increase the error; return why, by name."""

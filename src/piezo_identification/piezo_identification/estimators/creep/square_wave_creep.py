@@ -2,7 +2,7 @@
 """Creep from a long square wave, by output-error fit."""
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,8 @@ def estimate_creep(
         return whole
     # With many slow exponentials, the level is certain to change, but not by how much.
     size = f"{off_um:+.3g} um " if abs(off_um) < np.ptp(part.displacement_um) else ""
-    return replace(cut, start=f"its first {record.first_run_s:.4g} s, up to the first step, are "
+    first_run_s = record.wave.steps[0] * record.period_s
+    return replace(cut, start=f"its first {first_run_s:.4g} s, up to the first step, are "
                    f"{size}off the loop of the later ones: left out")
 
 
@@ -188,9 +189,11 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             best = rates
     law = record.power_law() if pair_count is None else None
     if law is not None:
-        trials.append(law.trial)
-        if law.trial.information < min(trial.information for trial in trials[:-1]):
-            return Estimate(*record.creep_of_law(law), POWER_LAW, tuple(trials))
+        point, covariance, trial = law
+        trials.append(trial)
+        if trial.information < min(other.information for other in trials[:-1]):
+            point, free = continued(point, record.end_of_law_rad_per_s)
+            return Estimate(*creep_of_point(point, free, covariance), POWER_LAW, tuple(trials))
     model, standard_deviations = record.creep(best)
     shown = len(model.poles_rad_per_s)
     if pair_count is not None and shown < pair_count:
@@ -199,16 +202,6 @@ def _estimate_as_held(record: "_CreepRecord", pair_count: int | None) -> Estimat
             "others are too fast for the rows, or have no positive gain: ask for fewer, or record "
             "longer")
     return Estimate(model, standard_deviations, best.size, tuple(trials), pair_count is not None)
-
-
-@dataclass(frozen=True)
-class _PowerLaw:
-    """Fit of creep with a power law."""
-
-    point: FloatArray
-    covariance: FloatArray
-    """Covariance of its level and its exponent, (2, 2)."""
-    trial: OrderTrial
 
 
 class _CreepRecord:
@@ -350,8 +343,11 @@ class _CreepRecord:
         return creep_of_partial_fractions(
             rates, gains, propagated(relative, covariance), FAST * self.fastest)
 
-    def power_law(self) -> _PowerLaw | None:
-        """Fit a power law; None if the record shows no creep in the direction of the steps."""
+    def power_law(self) -> tuple[FloatArray, FloatArray, OrderTrial] | None:
+        """Fit a power law; None if the record shows no creep in the direction of the steps.
+
+        Return its point, the covariance of its level and its exponent, (2, 2), and the trial.
+        """
         rates = rates_of_law(self.bounds)
         above = rates - rates.mean()
         basis, count = self._basis(np.exp(rates)), rates.size
@@ -379,19 +375,8 @@ class _CreepRecord:
         relative[0, [1, 3]] = 1.0 / size, -1.0 / gain
         relative[1, 0] = 1.0
         gains = np.log(size / gain) + exponent * above
-        return _PowerLaw(
-            np.concatenate([rates, gains]), propagated(relative, covariance),
-            order_trial(POWER_LAW, residual, 4 + count, signal=self.displacement))
-
-    def creep_of_law(self, law: _PowerLaw) -> tuple[CreepDynamics, dict[str, tuple[float, ...]]]:
-        """Return the model of a power law, continued to the modes, and its deviations."""
-        point, free = continued(law.point, self.end_of_law_rad_per_s)
-        return creep_of_point(point, free, law.covariance)
-
-    @property
-    def first_run_s(self) -> float:
-        """Time before the first step."""
-        return self.wave.steps[0] * self.period_s
+        return (np.concatenate([rates, gains]), propagated(relative, covariance),
+                order_trial(POWER_LAW, residual, 4 + count, signal=self.displacement))
 
     def first_run_off_um(self, creep: CreepDynamics) -> float:
         """Level before the first step minus that of later ones; 0 if they may be equal.

@@ -7,7 +7,7 @@ leaves large slow errors, which such a fit would describe by modes that no struc
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -58,14 +58,9 @@ MOST_OF_THE_MOTION = 0.95
 """Part of the input power that defines the frequency of its loops."""
 
 
-@dataclass(frozen=True)
-class FastCreep:
-    """Creep in addition to the known one."""
-
-    model: CreepDynamics
-
-    deviations: dict[str, tuple[float, ...]]
-    """Standard deviations of its poles and zeros; the poles are fixed, not fitted."""
+Creep = tuple[CreepDynamics, dict[str, tuple[float, ...]]]
+"""Creep in addition to the known one, with standard deviations of its poles and zeros; the poles
+are fixed, not fitted."""
 
 
 def fit_with_fast_creep(
@@ -81,13 +76,14 @@ def fit_with_fast_creep(
     found = fast_creep(made, creep)
     if found is None:
         return fit(made(creep))
-    again = fit(made(joined_creep(creep, found.model)))
-    return replace(again, creep=found.model, creep_deviations=found.deviations)
+    further, deviations = found
+    again = fit(made(joined_creep(creep, further)))
+    return replace(again, creep=further, creep_deviations=deviations)
 
 
 def fast_creep(
     record_without: Callable[[CreepDynamics], FastRecord], creep: CreepDynamics,
-) -> FastCreep | None:
+) -> Creep | None:
     """Find creep in a fast record: exponentials slower than all ringing modes.
 
     Free poles show whether there is any: one of them is then real and slow. It is creep if the
@@ -109,7 +105,7 @@ def fast_creep(
         found = _positive_parts(record, free, rates)
         if found is None:
             break
-        without = record_without(joined_creep(creep, found.model))
+        without = record_without(joined_creep(creep, found[0]))
         free = best_free_fit(without, free)
         evidence = record.log_evidence(free, free.numbers)
         if evidence <= most:
@@ -215,7 +211,7 @@ def _responses(
     return (of_poles @ residues).real, (of_poles @ weighted + of_rates * (at_rates * rates)).real
 
 
-def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> FastCreep | None:
+def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Creep | None:
     """Fit positive parts of exponentials, and keep those that are significant."""
     response, exponentials = _responses(record, free, rates)
     span = independent(record.fixed)
@@ -236,7 +232,7 @@ def _positive_parts(record: FastRecord, free: FreeFit, rates: FloatArray) -> Fas
             gains = parts[1:] / parts[0]
             full = np.zeros((2 * used.size, 2 * used.size))
             full[used.size :, used.size :] = covariance[1:, 1:] / parts[0] ** 2
-            return FastCreep(*creep_of_partial_fractions(rates[used], gains, full))
+            return creep_of_partial_fractions(rates[used], gains, full)
         # Remove one at a time: the others become significant when a neighbour is gone.
         used = np.delete(used, np.argmin(over_deviation))
     return None

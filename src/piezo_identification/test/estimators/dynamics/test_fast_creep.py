@@ -96,9 +96,10 @@ def test_creep_that_explains_as_much_as_free_poles_need_not_pay_for_its_numbers(
     stage = recording(creep_part=0.01, creep_rates=(30.0,), modes=1)
     found = fast_creep(lambda creep: mean_period(stage, creep), CreepDynamics())
     assert found is not None
-    below, above = found.model.poles_rad_per_s
+    model, _ = found
+    below, above = model.poles_rad_per_s
     assert below < 30.0 < above
-    response = found.model.response(np.array([1.0, 5.0, 20.0]))
+    response = model.response(np.array([1.0, 5.0, 20.0]))
     truth = CreepDynamics((30.0,), (30.3,)).response(np.array([1.0, 5.0, 20.0]))
     # Creep counts relative to what follows at once.
     np.testing.assert_allclose(response / response[-1], truth / truth[-1], atol=1e-3)
@@ -134,6 +135,6 @@ def test_creep_is_sought_until_it_leaves_no_slow_pole_in_the_dynamics(monkeypatc
     stage = recording(creep_part=0.004, creep_rates=np.geomspace(3.0, 600.0, 10))
     found = fast_creep(lambda creep: mean_period(stage, creep), CreepDynamics())
     assert found is not None
-    left = best_free_fit(mean_period(stage, found.model)).poles
+    left = best_free_fit(mean_period(stage, found[0])).poles
     assert left.size == 1 + 2 * len(MODES_HZ)
     assert np.abs(left).min() == pytest.approx(1.0 / LAG_S, rel=0.01)
