@@ -38,7 +38,7 @@ from piezo_identification.fitting.clustered_covariance import (
 )
 from piezo_identification.fitting.dataset import SPLIT, split_rows
 from piezo_identification.fitting.evidence import INDEPENDENT, correlated_scale
-from piezo_identification.fitting.joint_errors import SETTINGS
+from piezo_identification.fitting.joint_errors import LONGEST_STEP
 from piezo_identification.fitting.regression import SETTINGS as REGRESSION
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
@@ -152,7 +152,7 @@ class AxesErrors:
         self._parts = [_Part(each, free.model, at)
                        for each, at in zip(recordings, rows, strict=True)]
         self.low, self.high = free.low, np.full(free.low.size, np.inf)
-        self.longest = np.full(free.low.size, SETTINGS.longest)
+        self.longest = np.full(free.low.size, LONGEST_STEP)
         self._is_hysteresis = free.is_hysteresis
         self._prior = np.where(self._is_hysteresis, 1.0 / HYSTERESIS_WIDTH, 1.0)
         travel_um = np.array([np.ptp(each.displacement_um, axis=0) for each in recordings])

@@ -2,7 +2,6 @@
 """Nonlinear least-squares fits of effects, starting from initial guesses made by the effects."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,24 +12,20 @@ from piezo_identification.fitting.clustered_covariance import clustered_covarian
 from piezo_identification.fitting.regression import Fit, Regression
 from piezo_models.effects import Effect, Evidence, Extent, fitted_values, with_fitted_values
 
+MOST_EVALUATIONS = 15
+"""Largest number of residual evaluations, without those for the derivatives."""
 
-@dataclass(frozen=True)
-class FitSettings:
-    """Limits on the fit of effects."""
+QUICK_EVALUATIONS = 6
+"""The same limit for a fit whose result will be refined by another fit."""
 
-    evaluations: int = 15
-    """Largest number of residual evaluations, without those for the derivatives."""
-    quick_evaluations: int = 6
-    """The same limit for a fit whose result will be refined by another fit."""
-    relative_change: float = 1e-5
-    """A fit ends when the sum of squares changes by less than this fraction."""
-    guesses: int = 3
-    """Largest number of initial guesses of one effect that are fitted."""
-    worst_guess: float = 1.5
-    """Largest sum of squares of a guess that is fitted, as a multiple of that of the best guess."""
+RELATIVE_CHANGE = 1e-5
+"""A fit ends when the sum of squares changes by less than this fraction."""
 
+MOST_GUESSES = 3
+"""Largest number of initial guesses of one effect that are fitted."""
 
-SETTINGS = FitSettings()
+WORST_GUESS = 1.5
+"""Largest sum of squares of a guess that is fitted, as a multiple of that of the best guess."""
 
 
 def fit_effects(regression: Regression, effects: Sequence[Effect],
@@ -55,9 +50,7 @@ def fit_effects(regression: Regression, effects: Sequence[Effect],
     vector, low, high = (np.concatenate(parts) for parts in zip(*guesses, strict=True))
     solution = least_squares(
         remainder, np.clip(vector, low, high), bounds=(low, high), x_scale="jac",
-        ftol=SETTINGS.relative_change,
-        max_nfev=SETTINGS.quick_evaluations if quick else SETTINGS.evaluations,
-    )
+        ftol=RELATIVE_CHANGE, max_nfev=QUICK_EVALUATIONS if quick else MOST_EVALUATIONS)
     covariance = clustered_covariance(
         solution.jac, solution.fun, regression.dataset.stretch[regression.estimation])
     found = effects_at(solution.x)
@@ -82,8 +75,8 @@ def fit_one_more(regression: Regression, kind: type[Effect], effects: tuple[Effe
     none = regression.remainder(regression.difference(effects))
     promising = [
         guesses[number] for number in np.argsort(costs)
-        if costs[number] < none @ none and costs[number] < SETTINGS.worst_guess * min(costs)
-    ][:SETTINGS.guesses]
+        if costs[number] < none @ none and costs[number] < WORST_GUESS * min(costs)
+    ][:MOST_GUESSES]
     if not promising:
         guess = guesses[np.argmin(costs)]
         return regression.fit((*effects, guess), quick=(guess,))

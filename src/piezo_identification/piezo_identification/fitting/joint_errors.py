@@ -42,19 +42,11 @@ from piezo_identification.simulation.simulated_recording import SimulatedRecordi
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect, fitted_values, with_fitted_values
 
+LONGEST_STEP = 5.0
+"""Largest change of a model parameter in one step, in prior widths."""
 
-@dataclass(frozen=True)
-class ErrorSettings:
-    """Limits of steps."""
-
-    longest: float = 5.0
-    """Largest change of a model parameter in one step, in prior widths."""
-    derivative_step: float = 1e-7
-    """Step of the numerical derivative by a parameter of an effect; relative for values above
-    one."""
-
-
-SETTINGS = ErrorSettings()
+DERIVATIVE_STEP = 1e-7
+"""Step of the numerical derivative by a parameter of an effect; relative for values above one."""
 
 KEPT = 256
 """Number of cached effects: those of the points of a few fits and of the steps from them."""
@@ -214,7 +206,7 @@ class JointErrors:
             self._prior[self._physical :] = 1.0 / hysteresis_width
         self.low, self.high = np.concatenate([least, *lows]), np.concatenate([free, *highs])
         self.longest = np.full(self.low.size, np.inf)
-        self.longest[: self.count] = SETTINGS.longest
+        self.longest[: self.count] = LONGEST_STEP
         self.accuracy_um = np.append(
             accuracies_um(dataset), [each.accuracy for each in responses])
         self._counts = np.array([
@@ -395,7 +387,7 @@ class JointErrors:
 
     def _moved(self, vector: FloatArray, place: int) -> tuple[FloatArray, float]:
         """Return unknowns with one of them moved within its bounds, and by how much."""
-        step = SETTINGS.derivative_step * max(1.0, abs(vector[place]))
+        step = DERIVATIVE_STEP * max(1.0, abs(vector[place]))
         moved = vector.copy()
         moved[place] += step if moved[place] + step <= self.high[place] else -step
         return moved, float(moved[place] - vector[place])

@@ -21,7 +21,7 @@ from piezo_identification.estimators.hysteresis.density_fit import (
 from piezo_identification.estimators.hysteresis.dynamics_inverse import input_of, samples_added
 from piezo_identification.estimators.hysteresis.equations import HysteresisSegment
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
-    SETTINGS,
+    LARGEST_ERROR_RATIO,
     estimate_first_rise,
     highest_before,
     without_first_rise,
@@ -154,7 +154,7 @@ def _is_far_better(run: SimulatedRecording, without_um: float) -> bool:
         MOST_NOISE * residual_um)
     beyond_um, without_beyond_um = np.sqrt(np.maximum(
         np.square([residual_um, without_um]) - noise_um**2, 0.0))
-    return bool(beyond_um <= SETTINGS.largest_error_ratio * without_beyond_um)
+    return bool(beyond_um <= LARGEST_ERROR_RATIO * without_beyond_um)
 
 
 def _shown_first_rises(

@@ -42,24 +42,16 @@ from piezo_models.hysteresis.first_rise import CYCLED
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_recorder.reading.recording import Recording
 
+KEPT_OUTPUTS = 6
+"""Number of cached outputs of the linear part, in addition to the first, and of cached signals
+between later effects. A fit varies one effect at a time and needs the last few again; several fits
+may run in parallel."""
 
-@dataclass(frozen=True)
-class SimulationSettings:
-    """Settings of the simulation of a recording."""
-
-    kept_outputs: int = 6
-    """Number of cached outputs of the linear part, in addition to the first, and of cached signals
-    between later effects. A fit varies one effect at a time and needs the last few again; several
-    fits may run in parallel."""
-    kept_inputs: int = 3
-    """Number of cached inputs of the linear part with effects on the voltage."""
-
+KEPT_INPUTS = 3
+"""Number of cached inputs of the linear part with effects on the voltage."""
 
 KEPT = 32
 """Number of cached linear parts; a fit uses the same few for all its recordings."""
-
-SETTINGS = SimulationSettings()
-
 
 PastVoltages = tuple[float, ...]
 """Extreme voltages before a recording, in their order; empty if it begins saturated."""
@@ -455,7 +447,7 @@ class SimulatedRecording:
         if others:
             # Entries are ordered by their last use.
             self._ahead[key] = ahead_um
-            for old in list(self._ahead)[: -SETTINGS.kept_outputs]:
+            for old in list(self._ahead)[: -KEPT_OUTPUTS]:
                 self._ahead.pop(old, None)  # a parallel fit may have removed it
         return last.apply(ahead_um, self.sample_period_s, self.rest_um)
 
@@ -467,7 +459,7 @@ class SimulatedRecording:
         if output is None:
             output = self._response(on_voltage, in_series, lags, at)
             # Keep the first and the last few of the many outputs of a fit.
-            for old in list(self._outputs)[1 : -SETTINGS.kept_outputs]:
+            for old in list(self._outputs)[1 : -KEPT_OUTPUTS]:
                 self._outputs.pop(old, None)  # a parallel fit may have removed it
             self._outputs[key] = output
         return output
@@ -490,7 +482,7 @@ class SimulatedRecording:
                 self.model.hysteresis, amplified_v, on_voltage)
             input_um = self._with_creep(hysteresis_um, amplified_v)
             # A fit changes one parameter and then returns to the previous value.
-            for old in list(self._inputs)[: 1 - SETTINGS.kept_inputs]:
+            for old in list(self._inputs)[: 1 - KEPT_INPUTS]:
                 self._inputs.pop(old, None)  # a parallel fit may have removed it
             self._inputs[on_voltage] = input_um
         return input_um

@@ -10,7 +10,7 @@ import pytest
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.simulation import past_search
 from piezo_identification.simulation.past_search import simulated_recording
-from piezo_identification.simulation.simulated_recording import SETTINGS
+from piezo_identification.simulation.simulated_recording import KEPT_OUTPUTS
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
 from piezo_models.effects.effect import parameter
@@ -57,7 +57,7 @@ def test_an_effect_is_simulated_once_while_only_what_lies_behind_it_changes(reco
 
 def test_what_is_used_is_kept_and_what_is_not_goes(recording):
     kept = CountedBacklash(0.05)
-    for number in range(1, 2 * SETTINGS.kept_outputs):
+    for number in range(1, 2 * KEPT_OUTPUTS):
         recording.simulate((kept, sensor(0.1 * number)))
         recording.simulate((CountedBacklash(0.05, number), sensor(0.1)))
     assert CountedBacklash.applied.count(0.0) == 1

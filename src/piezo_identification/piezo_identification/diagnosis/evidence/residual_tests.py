@@ -17,22 +17,17 @@ from piezo_identification.fitting.regression import Fit, Regression
 WORTH_REPORTING = 0.05
 """Smallest share of the residual power related to a quantity for which the quantity is named."""
 
+BAND_99 = 2.576
+"""Standard deviations within which 99 % of a normal distribution lie."""
 
-@dataclass(frozen=True)
-class ResidualTestSettings:
-    """Settings of the tests of a residual."""
+MOST_LAGS = 100
+"""Largest shift of a residual in samples; slower errors show in the dependences."""
 
-    band_99: float = 2.576
-    """Standard deviations within which 99 % of a normal distribution lie."""
-    most_lags: int = 100
-    """Largest shift of a residual in samples; slower errors show in the dependences."""
-    bins: int = 24
-    """Number of bins, with equally many samples, for the mean of a residual."""
-    whitening_order: int = 6
-    """Number of earlier samples used to predict an input to make it white."""
+BINS = 24
+"""Number of bins, with equally many samples, for the mean of a residual."""
 
-
-SETTINGS = ResidualTestSettings()
+WHITENING_ORDER = 6
+"""Number of earlier samples used to predict an input to make it white."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +51,16 @@ class CorrelationTest:
         lags = self.lags.size
         if np.abs(self.correlation).max() > 2.0 * self.band:
             return False
-        by_chance = 0.01 * lags + SETTINGS.band_99 * np.sqrt(0.01 * lags) + 0.5
+        by_chance = 0.01 * lags + BAND_99 * np.sqrt(0.01 * lags) + 0.5
         return bool(self.share_outside * lags <= by_chance)
 
 
 def whiteness(residual_um: FloatArray) -> CorrelationTest:
     """Return the autocorrelation of a residual, (N,)."""
     residual = residual_um - residual_um.mean()
-    lags = np.arange(1, min(SETTINGS.most_lags, residual.size // 4) + 1)
+    lags = np.arange(1, min(MOST_LAGS, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, residual, lags),
-                           SETTINGS.band_99 / np.sqrt(residual.size))
+                           BAND_99 / np.sqrt(residual.size))
 
 
 def input_correlation(residual_um: FloatArray, input: FloatArray) -> CorrelationTest:
@@ -76,14 +71,14 @@ def input_correlation(residual_um: FloatArray, input: FloatArray) -> Correlation
     """
     white_input, coefficients = _whitened(input - input.mean())
     residual = np.convolve(residual_um - residual_um.mean(), coefficients, mode="valid")
-    lags = np.arange(0, min(SETTINGS.most_lags, residual.size // 4) + 1)
+    lags = np.arange(0, min(MOST_LAGS, residual.size // 4) + 1)
     return CorrelationTest(lags, _correlation(residual, white_input, lags),
-                           SETTINGS.band_99 / np.sqrt(residual.size))
+                           BAND_99 / np.sqrt(residual.size))
 
 
 def _whitened(signal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Make a signal white by an autoregressive filter; return it, and the filter."""
-    order = SETTINGS.whitening_order
+    order = WHITENING_ORDER
     lagged = np.lib.stride_tricks.sliding_window_view(signal, order + 1)[:, -2::-1]
     weights = np.linalg.lstsq(lagged, signal[order:], rcond=1e-10)[0]
     coefficients = np.concatenate([[1.0], -weights])
@@ -115,7 +110,7 @@ class Dependence:
 def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> Dependence:
     """Estimate how a residual depends on the values of a quantity, both (N,)."""
     # Bins of equally many samples each.
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, SETTINGS.bins + 1)))
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(0, edges.size - 2))
     count = np.bincount(index)
     used = count > 0
@@ -126,7 +121,7 @@ def dependence(residual_um: FloatArray, values: FloatArray, quantity: str) -> De
     # Neighbouring samples are correlated: a bin has fewer independent ones than samples.
     variance, chance = float(np.var(residual_um)), float(np.var(rest))
     correlated = correlated_scale(rest) ** 2 / chance if chance > 0.0 else 1.0
-    band = SETTINGS.band_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
+    band = BAND_99 * np.sqrt(chance * np.minimum(1.0, correlated / count))
     between = float(np.sum(count * (mean - residual_um.mean()) ** 2) / residual_um.size)
     by_chance = chance * min(1.0, (count.size - 1) * correlated / residual_um.size)
     share = max(0.0, between - by_chance) / variance if variance > 0.0 else 0.0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """First-cycle remanence from a recording of the hysteresis that begins with the first rise."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import isotonic_regression
@@ -19,24 +19,19 @@ from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
 from piezo_recorder.reading.recording import Recording
 
+CELLS = 24
+"""Number of voltage cells between which the remanence is piecewise linear."""
 
-@dataclass(frozen=True)
-class FirstRiseSettings:
-    """Settings of the estimate."""
+LEAST_REMANENCE = 2e-3
+"""Smallest remanence, relative to the displacement range, that is not noise, drift or creep."""
 
-    cells: int = 24
-    """Number of voltage cells between which the remanence is piecewise linear."""
-    least: float = 2e-3
-    """Smallest remanence, relative to the displacement range, that is not noise, drift or creep."""
-    largest_drift: float = 0.2
-    """Largest change of the displacement at the lowest voltage, relative to the remanence, after
-    the highest voltage was reached; drift continues, a remanence does not."""
-    largest_error_ratio: float = 0.5
-    """Largest ratio of the errors of the loops beyond noise, with and without the remanence. Drift
-    or unknown creep that looks like a remanence explains less."""
+LARGEST_DRIFT = 0.2
+"""Largest change of the displacement at the lowest voltage, relative to the remanence, after the
+highest voltage was reached; drift continues, a remanence does not."""
 
-
-SETTINGS = FirstRiseSettings()
+LARGEST_ERROR_RATIO = 0.5
+"""Largest ratio of the errors of the loops beyond noise, with and without the remanence. Drift or
+unknown creep that looks like a remanence explains less."""
 
 
 def estimate_first_rise(
@@ -65,7 +60,7 @@ def estimate_first_rise(
     curve = np.concatenate(again)
     if curve.size == 0 or np.ptp(curve[:, 0]) < 0.5 * (high_v - low_v):
         return None
-    edges_v = np.linspace(low_v, high_v, SETTINGS.cells + 1)
+    edges_v = np.linspace(low_v, high_v, CELLS + 1)
     curve_v, curve_um = _cell_means(curve, edges_v)
     first_um = rises[0][2]
     shown = [np.array([[before, bottom - first_um] for *_, bottom, before in rises[1:]])]
@@ -81,8 +76,8 @@ def estimate_first_rise(
     start_v = min(max(low_v, highest_v), float(points_v[known][0]) - 1e-9 * (high_v - low_v))
     afterwards_um = [bottom for *_, bottom, before in rises if before >= curve_v[-1]]
     drift_um = np.ptp(afterwards_um) if afterwards_um else 0.0
-    if rising_um[-1] < SETTINGS.least * float(np.ptp(output_um)) or (
-            drift_um > SETTINGS.largest_drift * rising_um[-1]):
+    if rising_um[-1] < LEAST_REMANENCE * float(np.ptp(output_um)) or (
+            drift_um > LARGEST_DRIFT * rising_um[-1]):
         return None
     return FirstRise((start_v, *points_v[known].tolist()), (0.0, *rising_um.tolist()))
 

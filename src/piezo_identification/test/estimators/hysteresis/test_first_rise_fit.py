@@ -9,7 +9,7 @@ import pytest
 
 from piezo_identification.adequacy.component_adequacy import adequacy_of
 from piezo_identification.estimators.hysteresis.first_rise_fit import (
-    SETTINGS,
+    LARGEST_ERROR_RATIO,
     estimate_first_rise,
     without_first_rise,
 )
@@ -211,7 +211,7 @@ def test_what_is_taken_off_is_what_the_component_lacks(virgin, loops):
     taken_um = virgin.displacement_um - left.displacement_um
     assert taken_um[0] == pytest.approx(-first_rise.whole_um)
     assert taken_um[-1] == 0.0
-    assert 0.0 < SETTINGS.largest_error_ratio < 1.0
+    assert 0.0 < LARGEST_ERROR_RATIO < 1.0
 
 
 def test_loops_that_never_come_back_to_the_lowest_voltage_show_no_first_rise():
