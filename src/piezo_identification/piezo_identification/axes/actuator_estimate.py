@@ -37,9 +37,6 @@ from piezo_recorder.sample_block import Flag
 ROUGH_LEVELS, ROUGH_SMOOTHING = 8, 1e-7
 """Levels and smoothing of a hysteresis that only gives the transmitted part of a step."""
 
-MOST_ROWS = 20_000
-"""Rows of loops that are fitted: four for each cell of 100 along both thresholds."""
-
 
 def estimate_actuators(model: CoupledModel, creep: Sequence[AxesRecording],
                        hysteresis: Sequence[AxesRecording], levels: int) -> tuple[Actuator, ...]:
@@ -118,8 +115,7 @@ def _density(model: CoupledModel, axis: int, loops: Sequence[AxesRecording], lev
              smoothing: float | None = None) -> DensityEstimate:
     return estimate_density(
         [_alone(model, axis, each) for each in loops], model.actuators[axis].creep,
-        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing,
-        most_rows=MOST_ROWS)
+        ElectricVibrationDynamics(), most_levels=levels, smoothing_weight=smoothing)
 
 
 def _alone(model: CoupledModel, axis: int, recording: AxesRecording) -> Recording:

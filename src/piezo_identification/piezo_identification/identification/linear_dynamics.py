@@ -58,9 +58,6 @@ DRIVING_LEVELS = 30
 """Levels of a density that is only the input of a fit of the dynamics, or used to find when rows
 are read. Compared with the errors of both, a finer density makes no difference."""
 
-DRIVING_ROWS = 20_000
-"""Largest number of samples that such a density is fitted to."""
-
 CLEARLY_LESS = 0.9
 """Largest ratio of the creep residuals at which its rows are read otherwise than those of the
 dynamics, because slow rows hardly determine the instant."""
@@ -327,7 +324,7 @@ def aligned_density(
         aligned = [rows_read_at_start(each, read_as(each, read_at)) for each in hysteresis]
         density = estimate_density(
             aligned, found.creep, found.slow_dynamics, smoothing_weight=smoothing,
-            delay_s=found.slow_delay_s, most_levels=DRIVING_LEVELS, most_rows=DRIVING_ROWS)
+            delay_s=found.slow_delay_s, most_levels=DRIVING_LEVELS)
         tried.append((density, read_at, aligned))
     if len(tried) == 1:
         return tried[0][:2]
