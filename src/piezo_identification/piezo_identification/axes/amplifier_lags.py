@@ -13,8 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.actuator_drive import with_actuator, with_drive
-from piezo_identification.axes.coupled_fit import CoupledFit, linear_numbers, refined
-from piezo_identification.axes.order_search import TAPS, local_evidence_of
+from piezo_identification.axes.coupled_fit import CoupledFit
+from piezo_identification.axes.order_search import fit_of_poles, local_evidence_of
 from piezo_identification.axes.spectra import Spectrum, driven_otherwise, reweighted, spectrum_of
 from piezo_models.axes.coupled import CoupledModel
 from piezo_recorder.reading.axes import AxesRecording
@@ -38,7 +38,7 @@ def with_amplifier_lags(model: CoupledModel, steps: ComplexArray,
         np.ptp(recording.voltage_v[:, number]) > 0.0 for recording in fast)]
     spectra = [spectrum_of(with_drive(model, each)).advanced(model.latency_samples)
                for each in fast]
-    fit = _fit(spectra, steps)
+    fit = fit_of_poles(spectra, steps)
     spectra = [reweighted(*each) for each in zip(spectra, fit.residual, strict=True)]
     light = np.abs(model.poles_rad_per_s[model.poles_rad_per_s.imag > 0.0])
     shortest_s = model.sample_period_s / SPACING**3  # shorter ones settle within the sample
@@ -74,9 +74,5 @@ def _lagging(model: CoupledModel, axis: int, lag_s: float) -> CoupledModel:
 
 def _fit_of(model: CoupledModel, spectra: Sequence[Spectrum], steps: ComplexArray,
             fast: Sequence[AxesRecording]) -> CoupledFit:
-    return _fit([driven_otherwise(spectrum, with_drive(model, each))
-                 for spectrum, each in zip(spectra, fast, strict=True)], steps)
-
-
-def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
-    return refined(linear_numbers(spectra, steps, TAPS), spectra, 0)
+    return fit_of_poles([driven_otherwise(spectrum, with_drive(model, each))
+                         for spectrum, each in zip(spectra, fast, strict=True)], steps)

@@ -9,7 +9,7 @@ import numpy as np
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.budget import is_time_up
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
-from piezo_identification.axes.shared_poles import delays, transient_basis
+from piezo_identification.axes.shared_poles import TAPS, delays, transient_basis
 from piezo_identification.axes.spectra import Spectrum
 from piezo_identification.estimators.poles.spectral_input import real_rows
 from piezo_identification.estimators.poles.vector_fitting import mode_basis
@@ -55,21 +55,20 @@ class CoupledFit:
         return int(self.numbers.shared().size + self.numbers.own().size + self.transients)
 
 
-def linear_numbers(spectra: Sequence[Spectrum], steps: ComplexArray, taps: int) -> CoupledNumbers:
+def linear_numbers(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledNumbers:
     """Return the gains with which modes of given poles fit spectra best."""
-    n = spectra[0].motion.shape[1]
-    columns = mode_basis(spectra[0].z, steps).shape[1] + taps
-    gains = np.zeros((columns, n, n))
+    n, columns = spectra[0].motion.shape[1], mode_basis(spectra[0].z, steps).shape[1]
+    gains = np.zeros((columns + TAPS, n, n))
     for output in range(n):
-        rows, targets = equations_of_gains(spectra, steps, taps, output, np.zeros(1))
-        gains[:, output] = _scaled_lstsq(rows, targets[:, 0]).reshape(columns, n)
-    none = np.zeros((0, columns - taps, n, n))
-    return CoupledNumbers(steps, gains[: columns - taps], gains[columns - taps:], none, none[:, 0],
-                          spectra[0].amplitude_v, np.ones(columns - taps))
+        rows, targets = equations_of_gains(spectra, steps, output, np.zeros(1))
+        gains[:, output] = _scaled_lstsq(rows, targets[:, 0]).reshape(columns + TAPS, n)
+    none = np.zeros((0, columns, n, n))
+    return CoupledNumbers(steps, gains[:columns], gains[columns:], none, none[:, 0],
+                          spectra[0].amplitude_v, np.ones(columns))
 
 
 def equations_of_gains(
-    spectra: Sequence[Spectrum], steps: ComplexArray, taps: int, output: int, late: np.ndarray,
+    spectra: Sequence[Spectrum], steps: ComplexArray, output: int, late: np.ndarray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows, (r, count), and targets, (r, s), of the regression for the gains of one motion.
 
@@ -79,7 +78,7 @@ def equations_of_gains(
     parts = []
     for spectrum in spectra:
         basis = mode_basis(spectrum.z, steps)
-        whole = np.hstack([basis, delays(spectrum.z, taps)])
+        whole = np.hstack([basis, delays(spectrum.z, TAPS)])
         own = (whole[:, :, None] * spectrum.drive[:, None, :]).reshape(len(whole), -1)
         motions = spectrum.motion[:, output, None] * spectrum.z[:, None] ** late
         ahead = replace(spectrum, ahead=spectrum.ahead + int(late.max()))

@@ -13,7 +13,7 @@ from piezo_identification.axes.axes_response import AxesResponse
 from piezo_identification.axes.coupled_fit import CoupledFit, covariances, covariances_of_correlated
 from piezo_identification.axes.coupled_numbers import CoupledNumbers, Linearised
 from piezo_identification.axes.modal_model import coupled_model, modal_model, residues_of
-from piezo_identification.axes.modes_fit import JUDGED_STEPS, Note, Progress, fitted_modes
+from piezo_identification.axes.modes_fit import Note, Progress, fitted_modes
 from piezo_identification.axes.order_search import without_weak_poles
 from piezo_identification.axes.predict_axes import SAME_PERIOD, errors_percent
 from piezo_identification.axes.sensor_delays import further_latencies, sensor_delays
@@ -138,7 +138,7 @@ def _fitted_response(measured: Sequence[Spectrum], pairs: int | None, progress: 
         fit, spectra, own = fitted_modes(
             [[each.advanced(late) for each in measured]], pairs, lambda text: None, progress)
         if pairs is None:
-            fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+            fit = without_weak_poles(fit, spectra)
         more = further_latencies(spectra, fit)
         late = late + own + more
         if not more.any():

@@ -13,6 +13,7 @@ from piezo_identification.axes.coupled_numbers import CoupledNumbers
 from piezo_identification.axes.modal_model import residues_of
 from piezo_identification.axes.mode_search import FEWEST_PERIODS
 from piezo_identification.axes.order_search import (
+    JUDGED_STEPS,
     evidence_of,
     growing,
     local_evidence_of,
@@ -46,9 +47,6 @@ FINAL_STEPS = 20
 REWEIGHTINGS = 3
 """Number of reweightings of recordings without scatter by the residual of the refined model. Set on
 the simulated flexure, where the misfit then equals the noise to 1 %."""
-
-JUDGED_STEPS = 3
-"""Gauss-Newton steps of a model that is compared."""
 
 SLOWEST_POLE = 0.9
 """Rate of the slowest pole over that of the lowest resonance, where there is hysteresis or creep:
@@ -103,7 +101,7 @@ def reweighted_fit(fit: CoupledFit, spectra: Sequence[Spectrum],
                        for each, residual in zip(spectra, fit.residual, strict=True)]
             fit = refined(fit.numbers, spectra, FINAL_STEPS)
             if is_open:
-                fit = without_weak_poles(fit, spectra, JUDGED_STEPS)
+                fit = without_weak_poles(fit, spectra)
             check_cancelled()
     return fit, list(spectra)
 

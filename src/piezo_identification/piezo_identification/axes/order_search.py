@@ -14,12 +14,11 @@ from piezo_identification.axes.spectra import Spectrum, beside_resonances, smoot
 from piezo_identification.estimators.poles.vector_fitting import FIRST_DAMPING
 from piezo_identification.fitting.model_weights import occam_penalty
 
-TAPS = 2
-"""Taps of the direct part. With the voltage of the same sample and of the one before, a delay of
-less than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
-
 PAIRS_STEP = 2
 """Pairs of poles that are added at once: two close modes may need both."""
+
+JUDGED_STEPS = 3
+"""Gauss-Newton steps of a model that is compared."""
 
 MOVES = 4
 """Relocations after poles were added: those that were there have little to go."""
@@ -31,18 +30,23 @@ def growing(spectra: Sequence[Spectrum], most: int) -> Iterator[CoupledFit]:
     The last fit has `most` pairs of poles.
     """
     count = min(PAIRS_STEP, most)
-    fit = _fit(spectra, relocated(spectra, count, TAPS))
+    fit = fit_of_poles(spectra, relocated(spectra, count))
     yield fit
     while count < most:
         more = min(PAIRS_STEP, most - count)
         count += more
-        grown = _fit(spectra, relocated(spectra, count, TAPS, _with_more(fit, spectra, more),
-                                        MOVES))
+        grown = fit_of_poles(
+            spectra, relocated(spectra, count, _with_more(fit, spectra, more), MOVES))
         if grown.misfit > fit.misfit:  # relocation is no descent: begin anew
-            grown = min(grown, _fit(spectra, relocated(spectra, count, TAPS)),
+            grown = min(grown, fit_of_poles(spectra, relocated(spectra, count)),
                         key=lambda each: each.misfit)
         fit = grown
         yield fit
+
+
+def fit_of_poles(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
+    """Return the fit of the gains of modes whose poles in the z plane, (m,), are given."""
+    return refined(linear_numbers(spectra, steps), spectra, 0)
 
 
 def evidence_of(fit: CoupledFit) -> float:
@@ -68,7 +72,7 @@ def with_a_further_mode(fit: CoupledFit, spectra: Sequence[Spectrum]) -> Coupled
     """Return the fit with a pair of poles more, where the residual rises most above its floor."""
     floored = [beside_resonances(*each) for each in zip(spectra, fit.residual, strict=True)]
     steps = _with_more(fit, floored, 1)
-    numbers = linear_numbers(spectra, relocated(spectra, steps.size, TAPS, steps, MOVES), TAPS)
+    numbers = linear_numbers(spectra, relocated(spectra, steps.size, steps, MOVES))
     return refined(replace(numbers, slowest=fit.numbers.slowest), spectra, 0)
 
 
@@ -91,7 +95,7 @@ def significances(fit: CoupledFit, spectra: Sequence[Spectrum]) -> FloatArray:
     return found
 
 
-def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int) -> CoupledFit:
+def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum]) -> CoupledFit:
     """Return the fit from which poles were taken as long as that gains evidence.
 
     The order is first sought with deviations that no refined model has left yet, and poles stand in
@@ -103,7 +107,7 @@ def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int)
             break  # more than all numbers cost
         weakest = int(np.argmin(found))
         kept = np.arange(fit.numbers.steps.size) != weakest
-        fewer = refined(fit.numbers.with_poles(kept), spectra, steps)
+        fewer = refined(fit.numbers.with_poles(kept), spectra, JUDGED_STEPS)
         if evidence_of(fewer) <= evidence_of(fit):
             break
         fit = fewer
@@ -112,10 +116,6 @@ def without_weak_poles(fit: CoupledFit, spectra: Sequence[Spectrum], steps: int)
 
 def _cost(fit: CoupledFit) -> float:
     return occam_penalty(None, np.ones(fit.count), fit.rows, fit.rows)
-
-
-def _fit(spectra: Sequence[Spectrum], steps: ComplexArray) -> CoupledFit:
-    return refined(linear_numbers(spectra, steps, TAPS), spectra, 0)
 
 
 def _with_more(fit: CoupledFit, spectra: Sequence[Spectrum], pairs: int) -> ComplexArray:

@@ -7,7 +7,6 @@ import numpy as np
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_identification.axes.coupled_fit import CoupledFit, equations_of_gains
-from piezo_identification.axes.order_search import TAPS
 from piezo_identification.axes.spectra import Spectrum
 from piezo_models.axes.coupled import CoupledModel
 
@@ -40,7 +39,7 @@ def latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarray:
     light = steps[(steps.imag > 0.0) & (-rates.real < MOST_DAMPED * np.abs(rates))]
     if not light.size:
         light = steps
-    return np.array([_fewest(*equations_of_gains(spectra, light, TAPS, output, tried), ALIKE)
+    return np.array([_fewest(*equations_of_gains(spectra, light, output, tried), ALIKE)
                      for output in range(n)])
 
 
@@ -51,7 +50,7 @@ def further_latencies(spectra: Sequence[Spectrum], fit: CoupledFit) -> np.ndarra
     """
     tried, found = np.arange(MOST_LATE), []
     for output in range(spectra[0].motion.shape[1]):
-        rows, targets = equations_of_gains(spectra, fit.numbers.steps, TAPS, output, tried)
+        rows, targets = equations_of_gains(spectra, fit.numbers.steps, output, tried)
         found.append(_fewest(rows, targets, np.exp(SAME_EVIDENCE / len(rows))))
     return np.array(found)
 

@@ -16,6 +16,10 @@ from piezo_identification.estimators.poles.vector_fitting import (
 ITERATIONS = 10
 """Relocations of the poles; those of the sharp ones stand still after four or five."""
 
+TAPS = 2
+"""Taps of the direct part. With the voltage of the same sample and of the one before, a delay of
+less than a sample period is exact (Franklin, Powell and Workman 1998, section 4.3.4)."""
+
 LEAST_STEP = 1e-3
 """Least real pole: what decays faster than to a thousandth in a sample is the direct part."""
 
@@ -49,19 +53,18 @@ def delays(z: ComplexArray, taps: int) -> ComplexArray:
     return z[:, None] ** -np.arange(taps)
 
 
-def relocated(spectra: Sequence[Spectrum], pairs: int, taps: int,
-              steps: ComplexArray | None = None, iterations: int = ITERATIONS) -> ComplexArray:
+def relocated(spectra: Sequence[Spectrum], pairs: int, steps: ComplexArray | None = None,
+              iterations: int = ITERATIONS) -> ComplexArray:
     """Return poles in the z plane that all motions share (Gustavsen and Semlyen 1999), (m,).
 
-    Some pairs may turn out as two real poles; the direct part has some taps. By default the initial
-    poles are spread over the lines. The poles are stable; pairs, by their upper pole, come before
-    real ones.
+    Some pairs may turn out as two real poles. By default the initial poles are spread over the
+    lines. The poles are stable; pairs, by their upper pole, come before real ones.
     """
     if steps is None:
         angles = np.quantile(np.angle(spectra[0].z), np.linspace(0.0, 1.0, pairs + 2)[1:-1])
         steps = np.exp((1j - FIRST_DAMPING) * angles)
     for _ in range(iterations):
-        conditions = [_condition(group, output, steps, taps)
+        conditions = [_condition(group, output, steps)
                       for group in _groups(spectra) for output in range(spectra[0].motion.shape[1])]
         rows, targets = (np.concatenate(each) for each in zip(*conditions, strict=True))
         scale = np.maximum(np.linalg.norm(rows, axis=0), np.finfo(float).tiny)
@@ -83,14 +86,14 @@ def _groups(spectra: Sequence[Spectrum]) -> list[list[Spectrum]]:
     return groups
 
 
-def _condition(group: Sequence[Spectrum], output: int, steps: ComplexArray, taps: int,
-               ) -> tuple[FloatArray, FloatArray]:
+def _condition(group: Sequence[Spectrum], output: int,
+               steps: ComplexArray) -> tuple[FloatArray, FloatArray]:
     """Return what one motion says of the common numerator once its own gains are eliminated."""
     driven = sorted({axis for each in group for axis in each.driven})
     parts = []
     for spectrum in group:
         basis = mode_basis(spectrum.z, steps)
-        gains = np.hstack([basis, delays(spectrum.z, taps)])
+        gains = np.hstack([basis, delays(spectrum.z, TAPS)])
         motion = spectrum.motion[:, output, None]
         columns = [gains * spectrum.drive[:, axis, None] for axis in driven]
         columns += [-motion * basis, motion]
