@@ -2,7 +2,6 @@
 """`identify`: from recordings to a model file."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from piezo_common.command_line import (
@@ -87,6 +86,3 @@ COMMAND = Command(
     "--dynamics it answers at once; without --hysteresis that of the others is taken.",
     inputs=tuple(EXPERIMENTS), check=_check, interrupted="no model was written")
 main = COMMAND.main
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,7 +20,7 @@ CREST_DRAWS = 32
 """Number of random phase sets; the one with the lowest crest factor is used."""
 
 SEED = 0
-"""Seed of the omitted lines and of the phases."""
+"""Seed of the omitted lines and of the phases, those of the tones among them."""
 
 REST_S = 0.8
 """Time at rest, which shows noise, disturbances from outside, outliers and drift."""
@@ -46,9 +46,6 @@ TONES_HZ, TONES_S, TONE_SWINGS = (20.0, 3000.0), 1.0, (0.02, 0.07)
 large one. They show modes, delay, lags and how these depend on the amplitude."""
 
 TONES_PER_S = 10
-
-PHASES = 0
-"""Seed of the phases of the tones."""
 
 
 def arc(start: float, end: float, samples: int) -> FloatArray:
@@ -165,7 +162,7 @@ def _tones(rate_hz: float, highest_step: float) -> Iterator[FloatArray]:
     highest_hz = min(TONES_HZ[1], HIGHEST_OF_CLOCK * rate_hz)
     lines = np.arange(TONES_HZ[0], highest_hz, TONES_PER_S) * TONES_S
     harmonics = np.zeros(samples // 2 + 1, dtype=complex)
-    phases = np.random.default_rng(PHASES).uniform(0.0, 2.0 * np.pi, lines.size)
+    phases = np.random.default_rng(SEED).uniform(0.0, 2.0 * np.pi, lines.size)
     harmonics[np.round(lines).astype(int)] = np.exp(1j * phases)
     wave = np.fft.irfft(harmonics, samples)
     # Fade in and out, so that the ends excite no ringing.
