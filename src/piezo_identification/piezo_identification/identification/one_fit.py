@@ -136,18 +136,29 @@ class _Search:
         first = self._read_otherwise(states[0], BEGUN)
         drifting = self._with_bouc_wen(first, BEGUN)
         # A search behind loops of the wrong kind would describe them by dynamics.
-        is_drifting = is_better(drifting.best, first.best)
+        explains_loops = self._explains_loops(drifting, first)
+        is_drifting = explains_loops and is_better(drifting.best, first.best)
         if is_drifting:
             drifting = self._searched(drifting, BEGUN, length)
             if is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
                 return drifting
         state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
-        if not is_drifting and drifting.best.evidence_over(
+        if not is_drifting and explains_loops and drifting.best.evidence_over(
                 first.best) > -SETTINGS.promise_before_pasts:
             drifting = self._with_bouc_wen(state, 1.0)
             if drifting is not state and is_promising(drifting.best, state.best):
                 drifting = self._searched(drifting, 1.0, 0.0)
-        return _better(drifting, state)
+        return _better(drifting, state) if self._explains_loops(drifting, state) else state
+
+    def _explains_loops(self, drifting: _State, state: _State) -> bool:
+        """Return whether a hysteresis of another kind explains recorded loops as well, or nearly.
+
+        It may gain more elsewhere than it loses on the loops that it should describe.
+        """
+        loops = [experiment_of(name) == "hysteresis" for name in self.names]
+        left, before = (each.problem.over_noise(each.best)[: len(loops)][loops]
+                        for each in (drifting, state))
+        return bool(np.all(left <= np.maximum(before, SETTINGS.wrong)))
 
     def _with_loops_in_turns(self, states: Sequence[_State]) -> list[_State]:
         """Estimate the loops again with each start until one is ahead; return all of these starts.

@@ -157,3 +157,15 @@ def test_a_start_that_gains_less_than_it_is_behind_gets_no_further_loops():
     search = _Racing([9000.0, 9500.0, 9510.0], [7000.0, 7100.0, 9999.0])
     assert _best_of(search.raced()).best.start == 0
     assert search.made.count(1) == 1
+
+
+@pytest.mark.parametrize("before, left, are_explained", [
+    ((11.4, 12.3), (24.4, 5.0), False), ((11.4, 12.3), (11.0, 20.0), True),
+    ((1.2, 70.0), (2.9, 60.0), True), ((1.2, 70.0), (3.1, 60.0), False)])
+def test_a_hysteresis_of_another_kind_explains_loops_as_well_or_nearly(
+        before, left, are_explained):
+    problem = SimpleNamespace(over_noise=lambda fit: np.array(fit.left))
+    search = _Racing()
+    search.__dict__["names"] = ["hysteresis", "dynamics"]
+    drifting, state = (_State(None, _Fit(left=each), problem, {}) for each in (left, before))
+    assert search._explains_loops(drifting, state) == are_explained
