@@ -106,6 +106,10 @@ class SearchSettings:
 
 SETTINGS = SearchSettings()
 
+FLAT = 2**-0.5
+"""Initial quality factor of an amplifier, whose amplitude is then flat over frequency. Loops
+estimated without overshoot keep a fit from finding one."""
+
 BOUC_WEN = "a Bouc-Wen hysteresis"
 
 MODES_IN_SERIES = "its modes in series"
@@ -179,13 +183,16 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
         for structure in filter(is_sought, clean):
             if where is problem and with_new_loops is not None:
                 report(structure.change, 0.0)
-                where, structure = _with_own_loops(problem, structure, with_new_loops)
+                # The first estimate is as wrong as the dynamics before any fit.
+                where, structure = _with_own_loops(
+                    problem, structure, with_new_loops, (0, SETTINGS.followed_steps))
                 for amplified in filter(is_sought, _with_second_order_amplifier(
                         problem, add(where, structure))):
+                    behind, amplified = _with_own_loops(where, amplified, with_new_loops, (0,))
+                    fit = add(behind, amplified)
                     # A delay compensates for an amplifier that is yet to be found.
-                    fit = add(where, amplified)
                     if (delay_s or 0.0) > 0.0:
-                        add(where, Structure(f"{amplified.change}, and a delay", fit.model, 0.0),
+                        add(behind, Structure(f"{amplified.change}, and a delay", fit.model, 0.0),
                             fit.density_changes)
             else:
                 add(where, structure)
@@ -197,12 +204,13 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
 
 def _with_own_loops(
     problem: WholeModel, structure: Structure, with_new_loops: Callable[[WholeFit], WholeModel],
+    steps_before: Sequence[int],
 ) -> tuple[WholeModel, Structure]:
-    """Return the problem with loops estimated with a start, and the start after that.
+    """Return the problem with loops estimated with a start, and the start as it is then.
 
-    The first estimate is as wrong as the dynamics before any fit, so that a second one follows.
+    Before each estimate, the start is fitted with some steps.
     """
-    for steps in (0, SETTINGS.followed_steps):
+    for steps in steps_before:
         fit = problem.fit(structure.model, structure.delay_s, steps)
         structure = replace(structure, model=fit.model, delay_s=fit.delay_s)
         problem = with_new_loops(fit)
@@ -456,7 +464,8 @@ def _with_second_order_amplifier(problem: WholeModel, fit: WholeFit) -> Iterator
     """Yield a fitted start with an amplifier of second order, in place of its lag and delay.
 
     Of its modes, those that ring and move the stage remain: others may stand for creep, for errors
-    of the loops, or for the amplifier itself. Only recorded loops tell it from a mode.
+    of the loops, or for the amplifier itself. The phases of those that remain are part of its
+    delay. Only recorded loops tell it from a mode.
     """
     modes, others = _modes_and_others(fit.model)
     largest = max((abs(mode.participation) for mode in modes), default=0.0)
@@ -464,12 +473,13 @@ def _with_second_order_amplifier(problem: WholeModel, fit: WholeFit) -> Iterator
              if mode.damping_ratio < SETTINGS.most_uncoupled and _rings(problem, mode)
              and abs(mode.participation) > SETTINGS.least_participation * largest]
     if clear or not modes:
-        late_s = max(fit.delay_s or 0.0, 0.0) + sum(
-            effect.time_constant_s for effect in others if isinstance(effect, AmplifierLag))
+        late_s = (max(fit.delay_s or 0.0, 0.0) + _lag_of_coupled_modes(clear) + sum(
+            effect.time_constant_s for effect in others if isinstance(effect, AmplifierLag)))
+        late_s = max(late_s, SETTINGS.first_lag * problem.sample_period_s)
         others = tuple(effect for effect in others if not isinstance(effect, AmplifierLag))
         yield Structure(f"{len(clear)} modes in phase, an amplifier of second order", replace(
             fit.model, creep=_creep_up_to(fit.model.creep, clear),
-            effects=(SecondOrderAmplifier(late_s), *_uncoupled(clear), *others)), None)
+            effects=(SecondOrderAmplifier(late_s, FLAT), *_uncoupled(clear), *others)), None)
 
 
 def _with_modes_in_parallel(model: StageModel) -> StageModel:
@@ -799,7 +809,7 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
     if len(merged) < len(modes):
         yield Structure("its overlapping modes as one",
                         replace(model, effects=(*merged, *others)), delay_s)
-    late_s = _lag_of_coupled_modes(model)
+    late_s = _lag_of_coupled_modes(modes)
     if late_s > 0.0:
         yield Structure("its modes in phase, behind a delay", replace(model, effects=tuple(
             _turned_in_phase(effect) if type(effect) is CoupledMode else effect
@@ -814,15 +824,16 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
                 _without(model, place), moved_s), AmplifierLag(behind_s)), delay_s)
 
 
-def _lag_of_coupled_modes(model: StageModel) -> float:
-    """Return the delay in s by which the velocities of coupled modes are explained best.
+def _lag_of_coupled_modes(modes: Sequence[VibrationMode]) -> float:
+    """Return the delay in s by which the velocities of coupled ones of modes are explained best.
 
     A delay turns the part of each mode by an angle in proportion to its frequency.
     """
-    modes = [effect for effect in model.effects if type(effect) is CoupledMode]
-    sizes = np.array([np.hypot(mode.participation, mode.velocity_participation) for mode in modes])
+    coupled = [mode for mode in modes if type(mode) is CoupledMode]
+    sizes = np.array([
+        np.hypot(mode.participation, mode.velocity_participation) for mode in coupled])
     lags_s = [np.arctan(-mode.velocity_participation / (mode.participation or 1e-12))
-              / mode.frequency_rad_per_s for mode in modes]
+              / mode.frequency_rad_per_s for mode in coupled]
     return float(sizes @ lags_s / sizes.sum()) if sizes.any() else 0.0
 
 

@@ -11,6 +11,7 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.fitting.structure_search import (
+    FLAT,
     begun,
     best_of,
     has_amplifier,
@@ -436,6 +437,10 @@ def test_an_amplifier_of_second_order_stands_beside_the_modes_that_ring_and_move
     beside = [[effect.frequency_rad_per_s for effect in fit.model.effects
                if isinstance(effect, VibrationMode)] for _, fit in tried if has_amplifier(fit)]
     assert beside == [[2800.0, 4900.0], [2800.0, 4900.0]]  # without and with a delay
+    [amplifier] = {effect for _, fit in tried for effect in fit.model.effects
+                   if isinstance(effect, SecondOrderAmplifier)}
+    assert amplifier.time_constant_s == pytest.approx(1e-4 + 1e-5)  # of the lag and the delay
+    assert amplifier.quality_factor == FLAT
 
 
 def test_rows_that_are_read_late_within_their_hold_are_found(plant, play):
