@@ -54,16 +54,13 @@ passes through the hysteresis."""
 BEGUN, RENEWED = 0.3, 0.2
 """Fractions of the time for the starts, and for new loops from each, used to report progress."""
 
-LOOPS = 2
-"""Largest number of times that the loops are estimated again at the end; a further time only if the
-last one reduced the error."""
-
 ALIKE = 1
 """Number of further starts with which the loops are estimated again besides one with another
 amplifier."""
 
 TURNS = 4
-"""Largest number of times that the loops are estimated again with each start."""
+"""Largest number of times that the loops are estimated again with each start, and with each prior
+width after the search; a further time only if the last one added evidence."""
 
 SLOWER = 1.5
 """Sample period, relative to that of the fastest data, from which a voltage may be straight between
@@ -220,9 +217,8 @@ class _Search:
                 is_new = (is_promising(start.best, state.best) if has_amplifier(start.best)
                           else is_better(start.best, state.best))
                 if is_new and not is_at_noise(state.problem, state.best):
-                    begin = BEGUN + number * length
-                    other = self._from(start, begin, length)
-                    state = _better(other, state)
+                    start = self._from(start, BEGUN + number * length, length)
+                state = _better(start, state)
         if search.was_cut:
             for start in others:
                 gain = start.best.evidence_over(state.best)
@@ -342,10 +338,11 @@ class _Search:
         state = self._searched(
             start, begin + RENEWED * length, (1.0 - 2.0 * RENEWED) * length)
         end = begin + (1.0 - RENEWED) * length
-        for _ in range(LOOPS):
-            before, state = state, self._with_renewed_loops(state, end, NARROW_PRIOR)
-            if not state.best.is_closer_than(before.best):
-                break
+        for width in (WIDE_PRIOR, NARROW_PRIOR):
+            for _ in range(TURNS):
+                before, state = state, self._with_renewed_loops(state, end, width)
+                if state.best.evidence_over(before.best) < DECISIVE:
+                    break
         return state
 
     def _searched(self, start: _State, begin: float, length: float) -> _State:

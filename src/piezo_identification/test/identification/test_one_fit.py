@@ -10,6 +10,7 @@ import pytest
 from piezo_identification.conditioning.outlier_samples import with_outliers_marked
 from piezo_identification.estimators.frequency_response.response_model import ANY_ORDER
 from piezo_identification.experiments import catalogue as experiments
+from piezo_identification.fitting.whole_model import NARROW_PRIOR, WIDE_PRIOR
 from piezo_identification.identification import one_fit
 from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.one_fit import (
@@ -109,10 +110,15 @@ class _Racing(_Search):
     """A search in which each estimate of the loops changes the evidence as listed."""
 
     def __init__(self, *evidence):
-        self.__dict__.update(new_loops=True, problem=None, made=[], evidence=evidence)
+        self.__dict__.update(
+            new_loops=True, problem=None, made=[], widths=[], evidence=evidence)
+
+    def _searched(self, start, begin, length):
+        return start
 
     def _with_renewed_loops(self, before, fraction, width=0.0):
         self.made.append(before.best.start)
+        self.widths.append(width)
         left = self.evidence[before.best.start][self.made.count(before.best.start) :]
         return replace(before, best=_Fit(start=before.best.start, evidence=left[0])
                        ) if left else before
@@ -157,6 +163,12 @@ def test_a_start_that_gains_less_than_it_is_behind_gets_no_further_loops():
     search = _Racing([9000.0, 9500.0, 9510.0], [7000.0, 7100.0, 9999.0])
     assert _best_of(search.raced()).best.start == 0
     assert search.made.count(1) == 1
+
+
+def test_loops_are_estimated_freely_after_a_search_while_that_adds_evidence_and_then_with_a_prior():
+    search = _Racing([1000.0, 1500.0, 1505.0, 1700.0, 1701.0])
+    assert search._from(*search.states(), 0.0, 1.0).best.evidence == 1701.0
+    assert search.widths == [WIDE_PRIOR, WIDE_PRIOR, NARROW_PRIOR, NARROW_PRIOR]
 
 
 @pytest.mark.parametrize("before, left, are_explained", [
