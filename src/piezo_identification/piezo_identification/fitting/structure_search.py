@@ -149,8 +149,9 @@ def begun(problem: WholeModel, given: StageModel, delay_s: float | None,
 
     `with_new_loops` returns the problem with loops estimated again with a fitted model. The loops
     of the given model compensate for the errors of its creep and dynamics, and a fit with other
-    dynamics takes long to correct them. Those of the first start are used for all starts except the
-    given model, because the starts differ little at the speed of the loops.
+    dynamics takes long to correct them. Those of the first start are used for the others, because
+    the starts differ little at the speed of the loops. An amplifier of second order has its own:
+    its overshoot also acts on slow voltages.
 
     Return the fits that may be continued, each with its problem, and all fits in the order they
     were made.

@@ -134,10 +134,6 @@ class WholeFit:
             log_evidence(fit._squares_um2(0), fit.numbers, self.counts) for fit in (self, other))
         return mine - others
 
-    def is_closer_than(self, other: "WholeFit") -> bool:
-        """Return whether the error on the fitted rows is smaller, for any number of parameters."""
-        return log_evidence(self._squares_um2(0), 0) > log_evidence(other._squares_um2(0), 0)
-
     def held_out_over(self, other: "WholeFit") -> float:
         """Return the logarithm of the ratio of likelihoods on the held-out rows."""
         return (log_evidence(self._squares_um2(1), 0, self.counts)
@@ -155,7 +151,6 @@ class WholeFit:
         of_effects = np.sqrt(np.diag(covariance)[self.errors.count :])
         return (physical_deviations(self.errors.dataset.model, covariance[:count, :count]),
                 *_split_deviations(self.errors.effects_at(self.vector), of_effects))
-
 
     def weights_of_effects(self) -> FloatArray:
         """Return the loss of log-evidence when each effect is removed on its own, (E,).

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Inverse of the linear dynamics for periodic references."""
 
-
 import control
 import numpy as np
 from numpy.typing import ArrayLike
