@@ -108,7 +108,7 @@ SETTINGS = SearchSettings()
 
 FLAT = 2**-0.5
 """Initial quality factor of an amplifier, whose amplitude is then flat over frequency. Loops
-estimated without overshoot keep a fit from finding one."""
+that were estimated without overshoot keep a fit from finding any."""
 
 BOUC_WEN = "a Bouc-Wen hysteresis"
 

@@ -205,7 +205,8 @@ class _Search:
     def _from_each(self, first: _State, others: Sequence[_State], length: float) -> _State:
         """Search from the first start, and from others that may become better than its result.
 
-        If it ends early, the others are compared as they are, on the held-out rows, too: an
+        Those that are not searched from are compared as they are. If the search ends early, all
+        others are compared on the held-out rows, too, because an
         amplifier of second order is the first start even if it is not the best one.
         """
         state = self._from(first, BEGUN, length)
