@@ -28,13 +28,18 @@ class Heartbeat:
         self._gap_s, self._gap_ended_s = 0.0, -math.inf
         self._continued_s, self._standstill_s = -math.inf, 0.0
         self._hears_signals = threading.current_thread() is threading.main_thread()
+        self._lock = threading.Lock()
         if self._hears_signals:
             self._others = signal.signal(signal.SIGCONT, self._go_on)
-        threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
+        # A suspension before the thread runs counts as well.
+        threading.Thread(target=self._beat, args=(time.monotonic(),), name="heartbeat",
+                         daemon=True).start()
 
     def standstill_s(self) -> float:
         """Return how long the process was suspended since the last call in s."""
-        standstill_s, self._standstill_s = self._standstill_s, 0.0
+        with self._lock:
+            self._compare()
+            standstill_s, self._standstill_s = self._standstill_s, 0.0
         return standstill_s
 
     def end(self) -> None:
@@ -42,24 +47,24 @@ class Heartbeat:
         self._ended.set()
 
     def _go_on(self, number: int, frame: FrameType | None) -> None:
+        # A handler must not wait for the lock: it may have interrupted the thread that holds it.
         self._continued_s = time.monotonic()
-        self._compare()
         if callable(self._others):
             self._others(number, frame)
 
-    def _beat(self) -> None:
-        last_s = time.monotonic()
+    def _beat(self, last_s: float) -> None:
         while not self._ended.wait(PERIOD_S):
             now_s = time.monotonic()
             gap_s, last_s = now_s - last_s, now_s
-            forgotten = now_s - self._gap_ended_s > SIGNAL_DELAY_S
-            if gap_s > (SHORTEST_GAP_S if forgotten else max(self._gap_s, SHORTEST_GAP_S)):
-                self._gap_ended_s, self._gap_s = now_s, gap_s
+            with self._lock:
+                forgotten = now_s - self._gap_ended_s > SIGNAL_DELAY_S
+                if gap_s > (SHORTEST_GAP_S if forgotten else max(self._gap_s, SHORTEST_GAP_S)):
+                    self._gap_ended_s, self._gap_s = now_s, gap_s
                 self._compare()
 
     def _compare(self) -> None:
         """Count the gap as a suspension if it ended at about the time of SIGCONT."""
         apart_s = abs(self._gap_ended_s - self._continued_s)
-        if not self._hears_signals or apart_s < SIGNAL_DELAY_S:
+        if self._gap_s and (not self._hears_signals or apart_s < SIGNAL_DELAY_S):
             self._standstill_s = max(self._standstill_s, self._gap_s)
             self._gap_s = 0.0
