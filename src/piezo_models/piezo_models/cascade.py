@@ -16,6 +16,7 @@ from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.summary_table import SummaryTable
 from piezo_models.effects.amplifier_lag import (
     SettledLag,
+    advance_with_overshoot,
     as_rows_show,
     parts_of_rows,
     with_overshoot,
@@ -169,8 +170,8 @@ class StageModel:
         for place in places:
             for index, effect in enumerate(self.effects):
                 if effect.place == place and len(signal):
-                    signal, pasts[index] = effect.advance(
-                        signal, sample_period_s, pasts.get(index))
+                    signal, pasts[index] = advance_with_overshoot(
+                        effect, signal, sample_period_s, pasts.get(index), self.effects)
         return signal
 
     def memory(self, rest_voltage_v: float = 0.0, hysteresis: PreisachMemory | None = None,

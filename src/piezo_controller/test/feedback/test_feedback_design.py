@@ -27,6 +27,9 @@ from piezo_controller.feedback.synthesis.h_infinity import (
     synthesise,
 )
 from piezo_controller.feedback.synthesis.weights import load_weights
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
+from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import simulate_linear, zoh
 
 pytestmark = pytest.mark.kernels
@@ -308,6 +311,20 @@ def test_unstable_gain_within_the_spread_is_reported(controller, stage_model):
 def test_demand_beyond_reach_is_refused(problem):
     with pytest.raises(NoController, match="relax the weights"):
         synthesise(problem, largest_norm=0.01)
+
+
+@pytest.mark.parametrize("kind", [BoucWenHysteresis, CurvedBoucWenHysteresis])
+def test_gain_range_contains_the_slopes_of_the_loops_of_a_bouc_wen_hysteresis(stage_model, kind):
+    line = PreisachModel.line(0.0, 100.0, 0.2)
+    loops = kind(5.0, 20.0, 0.5)
+    model = replace(stage_model, hysteresis=line, effects=(loops,))
+    turns_v = np.interp(np.linspace(0.0, 6.0, 6001), np.arange(7), [0, 100, 0, 100, 50, 100, 0])
+    moved_um = line.simulate(loops.apply(turns_v, 1.0))
+    slopes = np.diff(moved_um) / np.diff(turns_v)
+    near = np.abs(turns_v[1:] - 50.0) < 1.0
+    low, high = hysteresis_gain_range(model)
+    assert low - 1e-3 < slopes[near].min() < 1.05 * low
+    assert 0.97 * high < slopes[near].max() < high + 1e-3
 
 
 def test_tick_that_is_no_multiple_of_the_clock_is_refused(stage_model):

@@ -17,7 +17,6 @@ from piezo_identification.estimators.creep.slow_creep import estimate_slow_creep
 from piezo_identification.estimators.hysteresis.density_estimate import DensityEstimate
 from piezo_identification.estimators.hysteresis.density_fit import estimate_density
 from piezo_identification.fitting.structure_search import (
-    FORMS,
     SETTINGS,
     fitted_with_bouc_wen,
     is_at_noise,
@@ -87,7 +86,7 @@ def fitted_alone(start: StageModel, recordings: Sequence[Recording], is_line: bo
     if is_line:
         return Actuator(None, best.model.creep)
     if not is_at_noise(problem, best):
-        drifting, fit, _ = fitted_with_bouc_wen(problem, best, FORMS[:2])
+        drifting, fit, _ = fitted_with_bouc_wen(problem, best, is_plain=True)
         best = best if drifting.why_impossible(fit) or not is_better(fit, best) else fit
     loops = next((each for each in best.model.effects if isinstance(each, BoucWenHysteresis)), None)
     return Actuator(best.model.hysteresis, best.model.creep, bouc_wen=loops)

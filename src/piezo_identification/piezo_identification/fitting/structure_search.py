@@ -13,7 +13,6 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
-from piezo_identification.estimators.estimate import DECISIVE
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -21,7 +20,6 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel, modes_in_series
-from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
@@ -76,6 +74,9 @@ class SearchSettings:
     wrong: float = 3.0
     """Residual of the fastest recording, relative to its noise, above which every structure gets as
     many steps as the first fit."""
+    far: float = 30.0
+    """Residual of recorded loops, relative to their noise, above which another kind of hysteresis
+    is tried before the loops are estimated again."""
     highest: float = 0.3
     """Highest frequency of a mode, relative to the sampling frequency."""
     slowest: float = 1e-3
@@ -218,66 +219,67 @@ def _with_own_loops(
     return problem, structure
 
 
-FORMS = ("", ", a curve", ", a curve behind and beside")
-"""Forms of a Bouc-Wen hysteresis: in front of a line or a curve, or beside one, too."""
-
-
 def fitted_with_bouc_wen(
-    problem: WholeModel, best: WholeFit, forms: Sequence[str] = FORMS,
+    problem: WholeModel, best: WholeFit, is_plain: bool = False,
 ) -> tuple[WholeModel, WholeFit, list[Tried]]:
     """Fit a Bouc-Wen hysteresis in place of that of a fitted model.
 
-    No Preisach hysteresis has loops that drift and do not close. The equation is in front of a
-    line, or of a curve if that is not enough, or beside one, too. If it is promising, the pasts of
-    the recordings are sought with the fitted equation until that no longer helps. Modes that stand
-    for errors of the loops would hide their shape, so a start with the loudest mode alone follows.
+    No Preisach hysteresis has loops that drift and do not close. The most general form comes first:
+    its growth depends on the voltage, and a curve is beside it. If it is promising, the pasts of
+    the recordings are sought with the fitted equation until that is no longer worthwhile. Modes
+    that stand for errors of the loops would hide their shape, so a start with the loudest mode
+    alone follows. Last come the plain forms, in front of a line and of a curve; with `is_plain`,
+    the result is one of these.
 
-    `best` is a fit of the given problem, and `forms` are the first ones of `FORMS`. Return the
-    problem of the best fit with the equation, that fit, even if the given one is better, and all
-    fits in the order they were made.
+    `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
+    fit, even if the given one is better, and all fits in the order they were made.
     """
     tried = list[Tried]()
 
-    def with_pasts(form: str, found: WholeModel, fit: WholeFit) -> Begun:
-        promise = SETTINGS.promise_before_pasts
+    def fitted(form: str, where: WholeModel, start: StageModel, delay_s: float | None,
+               rival: WholeFit, promise: float) -> Begun:
+        fit = _raced(where, Structure(form, start, delay_s), rival, SETTINGS.steps, None, promise)
+        tried.append((form, fit))
         for _ in range(SETTINGS.rounds):
-            if is_at_noise(found, fit) or fit.evidence_over(best) < -promise:
+            if is_at_noise(where, fit) or fit.evidence_over(rival) < -promise:
                 break
-            again = found.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
+            again = where.with_hysteresis(fit.delayed_model, WIDE_PRIOR)
             closer = again.fit(fit.model, fit.delay_s, SETTINGS.steps)
             tried.append((f"{form}, pasts sought again", closer))
-            gain = closer.evidence_over(fit)
-            if not is_better(closer, fit) or gain < DECISIVE:
+            if not is_better(closer, fit):
                 break
-            found, fit, promise = again, closer, gain  # each adds less than the one before
-        return found, fit
+            # Each adds less than the one before.
+            promise = closer.evidence_over(fit)
+            where, fit = again, closer
+            if promise < SETTINGS.worthwhile * fit.counts.sum():
+                break
+        return where, fit
 
     fits = list[Begun]()
     for model, what in _with_fewer_modes(problem, best.model):
-        with_line, start = problem.with_bouc_wen(model)
-        where, delay_s, changes = with_line, best.delay_s, None
-        for curve in forms:
-            if any(is_at_noise(*each) for each in fits):
-                break
-            if curve == FORMS[1]:
-                where = with_line.with_curve(start)
-            elif curve == FORMS[2]:
-                where, fit = fits[-1]
-                start, delay_s, changes = _curved(fit.model), fit.delay_s, fit.density_changes
-            form = f"{BOUC_WEN}{curve}{what}"
-            fit = _raced(where, Structure(form, start, delay_s), best, SETTINGS.steps, changes,
-                         SETTINGS.promise_before_pasts)
-            tried.append((form, fit))
-            fits.append(with_pasts(form, where, fit))
+        if not any(is_at_noise(*each, SETTINGS.wrong) for each in fits):
+            where, start = problem.with_bouc_wen(model)
+            fits.append(fitted(f"{BOUC_WEN}{what}", where, start, best.delay_s, best,
+                               SETTINGS.promise_before_pasts))
+    leader = best_of([fit for _, fit in fits])
+    where = next(where for where, fit in fits if fit is leader)
+    start = _with_plain_bouc_wen(leader.model)
+    rival, promise = (best, SETTINGS.promise_before_pasts) if is_plain else (
+        leader, SETTINGS.promise)
+    plain = [fitted(f"{BOUC_WEN} that is equal at all voltages{behind}", with_behind, start,
+                    leader.delay_s, rival, promise)
+             for behind, with_behind in (("", where), (", a curve", where.with_curve(start)))]
+    fits = plain if is_plain else [*fits, *plain]
     leader = best_of([fit for _, fit in fits])
     return next(where for where, fit in fits if fit is leader), leader, tried
 
 
-def _curved(model: StageModel) -> StageModel:
-    """Return a model whose Bouc-Wen hysteresis may stand beside a curve of the voltage."""
+def _with_plain_bouc_wen(model: StageModel) -> StageModel:
+    """Return a model whose Bouc-Wen hysteresis is equal at all voltages."""
+    names = [each.name for each in fields(BoucWenHysteresis)]
     return replace(model, effects=tuple(
-        CurvedBoucWenHysteresis(**effect.parameters()) if isinstance(effect, BoucWenHysteresis)
-        else effect for effect in model.effects))
+        BoucWenHysteresis(**{name: getattr(effect, name) for name in names})
+        if isinstance(effect, BoucWenHysteresis) else effect for effect in model.effects))
 
 
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:

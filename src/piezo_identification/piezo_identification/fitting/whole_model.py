@@ -315,11 +315,11 @@ class WholeModel:
         return problem.with_hysteresis(start, WIDE_PRIOR, past_v), start
 
     def with_curve(self, model: StageModel) -> "WholeModel":
-        """Return the problem of `with_bouc_wen` with a curve in place of the line of a model."""
+        """Return the problem with a curve in place of the line of a model."""
         line = model.hysteresis
         return self.with_hysteresis(replace(model, hysteresis=PreisachModel.line(
             line.voltage_min_v, line.voltage_max_v, line.gain_um_per_v()[0], line.offset_um,
-            CURVE_CELLS)), WIDE_PRIOR, self._dataset.simulated[0].past_v)
+            CURVE_CELLS)), WIDE_PRIOR)
 
     def about_here(self) -> None:
         """Make the next fit recompute how the pieces of the hysteresis change the displacement.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_identification.conditioning.row_alignment import LATEST_READING, may_be_straight
@@ -126,19 +127,21 @@ class _Search:
             fit, problem, self.read_late_s) for problem, fit in found]
         if rival is not None and not is_promising(_best_of(states).best, rival):
             return _best_of(states)
+        first, drifting = _best_of(states), None
+        if max(self._loops_over_noise(first), default=0.0) > SETTINGS.far:
+            drifting = self._drifting(first, 1.0 - BEGUN)
+            if is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
+                return drifting
         raced = self._with_loops_in_turns(states)
         states = [next(state for state in raced if state.best is fit)
                   for fit in promising([state.best for state in raced])]
         length = (1.0 - BEGUN) / len(states)
         first = self._read_otherwise(states[0], BEGUN)
-        drifting = self._with_bouc_wen(first, BEGUN)
-        # A search behind loops of the wrong kind would describe them by dynamics.
+        drifting = self._drifting(first, length) if drifting is None else drifting
         explains_loops = self._explains_loops(drifting, first)
         is_drifting = explains_loops and is_better(drifting.best, first.best)
-        if is_drifting:
-            drifting = self._searched(drifting, BEGUN, length)
-            if is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
-                return drifting
+        if is_drifting and is_at_noise(drifting.problem, drifting.best, SETTINGS.wrong):
+            return drifting
         state = self._or_of_a_line(self._from_each(first, states[1:], length), delay_s)
         if not is_drifting and explains_loops and drifting.best.evidence_over(
                 first.best) > -SETTINGS.promise_before_pasts:
@@ -147,14 +150,25 @@ class _Search:
                 drifting = self._searched(drifting, 1.0, 0.0)
         return _better(drifting, state) if self._explains_loops(drifting, state) else state
 
+    def _drifting(self, state: _State, length: float) -> _State:
+        """Return a state with a Bouc-Wen hysteresis, and search from it if it is better."""
+        drifting = self._with_bouc_wen(state, BEGUN)
+        # A search behind loops of the wrong kind would describe them by dynamics.
+        if self._explains_loops(drifting, state) and is_better(drifting.best, state.best):
+            return self._searched(drifting, BEGUN, length)
+        return drifting
+
+    def _loops_over_noise(self, state: _State) -> FloatArray:
+        """Return the residuals of recorded loops over their noise, (r,)."""
+        loops = [experiment_of(name) == "hysteresis" for name in self.names]
+        return state.problem.over_noise(state.best)[: len(loops)][loops]
+
     def _explains_loops(self, drifting: _State, state: _State) -> bool:
         """Return whether a hysteresis of another kind explains recorded loops as well, or nearly.
 
         It may gain more elsewhere than it loses on the loops that it should describe.
         """
-        loops = [experiment_of(name) == "hysteresis" for name in self.names]
-        left, before = (each.problem.over_noise(each.best)[: len(loops)][loops]
-                        for each in (drifting, state))
+        left, before = map(self._loops_over_noise, (drifting, state))
         return bool(np.all(left <= np.maximum(before, SETTINGS.wrong)))
 
     def _with_loops_in_turns(self, states: Sequence[_State]) -> list[_State]:

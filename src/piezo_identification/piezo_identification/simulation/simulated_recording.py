@@ -32,6 +32,7 @@ from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
 from piezo_models.effects.amplifier_lag import (
     PARTS,
+    advance_with_overshoot,
     as_rows_show,
     overshooting,
     parts_of_rows,
@@ -143,13 +144,14 @@ class SimulatedRecording:
         other, given = copy(self), self.model
         other._bases = {}
         other.model = model = model.as_rows_show(self.sample_period_s)
-        is_amplified_alike = model.effects_at("voltage") == given.effects_at("voltage")
+        is_amplified_alike = (
+            model.effects_at("voltage") == given.effects_at("voltage")
+            and overshooting(model.effects) == overshooting(given.effects))
         if not is_amplified_alike:
             vars(other).pop("_amplified_v", None)
         if not (is_amplified_alike and model.hysteresis is given.hysteresis
                 and model.first_rise is given.first_rise
-                and model.hysteretic_creep is given.hysteretic_creep
-                and overshooting(model.effects) == overshooting(given.effects)):
+                and model.hysteretic_creep is given.hysteretic_creep):
             other._forget_hysteresis()
         other._forget_linear()
         return other
@@ -397,14 +399,15 @@ class SimulatedRecording:
 
         A model with all these effects applies them in the same order.
         """
+        applied = (*self.model.effects, *effects)
         voltage_v, parts = _in_parts(
-            self._joined, (*self.model.effects_at("voltage"), *effects), self.sample_period_s,
-            self.samples_per_mean)
+            self._joined, [effect for effect in applied if effect.place == "voltage"],
+            self.sample_period_s, self.samples_per_mean)
         period_s = self.sample_period_s / parts
-        for effect in (*self.model.effects, *effects):
+        for effect in applied:
             if effect.place == "voltage":
                 past = effect.memory_after(self.past_v) if self.past_v else None
-                voltage_v = effect.advance(voltage_v, period_s, past)[0]
+                voltage_v = advance_with_overshoot(effect, voltage_v, period_s, past, applied)[0]
         return voltage_v
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray,

@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,15 +31,23 @@ def curve_um(acting_v):
     return GAIN_UM_PER_V * (acting_v + 0.002 * (acting_v - 50.0) ** 2)
 
 
-def measured(voltage_v, seed, taken_v=0.0, saturation_v=SATURATION_V, is_beside=False):
-    """Solve the equation of Dahl, dz = (saturation - z) dv / relaxation, row by row; add noise.
+def measured(voltage_v, seed, taken_v=0.0, saturation_v=SATURATION_V, is_beside=False,
+             widening_per_v=0.0):
+    """Solve L dz = S g dv - z |dv|, with g = 1 + w (v - 50 V), row by row; add noise.
 
-    The curve acts on the remaining voltage, or the hysteresis is beside it.
+    Without w, this is the equation of Dahl, and with w one of Coleman and Hodgdon. The curve acts
+    on the remaining voltage, or the hysteresis is beside it.
     """
+    def tends_to_v(at_v, way_v):
+        return (math.copysign(saturation_v, way_v) * (1.0 + widening_per_v * (at_v - 50.0))
+                - saturation_v * RELAXATION_V * widening_per_v)
+
     taken_v = [taken_v]
-    for way_v in np.diff(voltage_v).tolist():
-        end_v = math.copysign(saturation_v, way_v)
-        taken_v.append(end_v + (taken_v[-1] - end_v) * math.exp(-abs(way_v) / RELAXATION_V))
+    for before_v, after_v in pairwise(voltage_v.tolist()):
+        way_v = after_v - before_v
+        left_v = taken_v[-1] - tends_to_v(before_v, way_v)
+        taken_v.append(tends_to_v(after_v, way_v)
+                       + left_v * math.exp(-abs(way_v) / RELAXATION_V))
     noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(voltage_v.size)
     moved_um = (curve_um(voltage_v) - GAIN_UM_PER_V * np.array(taken_v) if is_beside
                 else curve_um(voltage_v - taken_v))
@@ -100,16 +109,19 @@ def test_the_summary_does_not_say_that_there_is_no_hysteresis(identified):
     assert not replace(identified.model, effects=()).has_hysteresis
 
 
-def test_a_hysteresis_beside_a_curve_is_found_after_cycles_that_were_not_recorded():
+@pytest.mark.parametrize("widening_per_v", [0.0, 0.008])
+def test_a_hysteresis_beside_a_curve_is_found_after_cycles_that_were_not_recorded(widening_per_v):
     turns_v = [0.0, 100.0, 0.0, *np.ravel([(100.0 - size, size) for size in range(6, 48, 6)]),
                0.0, 100.0, 30.0, 100.0, 60.0, 100.0, 0.0]
-    loops = measured(turning(turns_v, 1500), 1, -SATURATION_V, is_beside=True)
+    after_cycles_v = -SATURATION_V * (1.0 + widening_per_v * (RELAXATION_V - 50.0))
+    stage = {"taken_v": after_cycles_v, "is_beside": True, "widening_per_v": widening_per_v}
+    loops = measured(turning(turns_v, 1500), 1, **stage)
     model = identify(hysteresis=loops, density=DensityOptions(20, 1e-10, 1e-10)).model
     [effect] = model.effects
     assert isinstance(effect, CurvedBoucWenHysteresis)
     assert effect.relaxation_v == pytest.approx(RELAXATION_V, rel=0.02)
-    assert effect.curvature_per_v == pytest.approx(0.002 / (1.0 - 0.002 * 100.0), rel=0.1)
-    unseen = measured(turning([0.0, 85.0, 20.0, 70.0, 40.0, 95.0, 10.0, 0.0], 900), 2,
-                      -SATURATION_V, is_beside=True)
+    assert effect.curvature_per_v == pytest.approx(0.002, rel=0.05)
+    assert effect.growth_slope_per_v == pytest.approx(widening_per_v, abs=5e-4)
+    unseen = measured(turning([0.0, 85.0, 20.0, 70.0, 40.0, 95.0, 10.0, 0.0], 900), 2, **stage)
     noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
     assert unseen_errors(model, unseen)["e_y_percent"] < 1.5 * noise_percent

@@ -3,12 +3,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import control
 import numpy as np
 
 from piezo_common.arrays import FloatArray
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.effect import Effect
 from piezo_models.effects.filtering import slowed
 from piezo_models.effects.lag import Lag
@@ -100,6 +101,20 @@ def with_overshoot(voltage_v: FloatArray, before_v: float,
     steps_v = np.diff(voltage_v, prepend=before_v)
     return np.column_stack([
         *(voltage_v + size * steps_v for size in extremes), voltage_v]).ravel(), 1 + len(extremes)
+
+
+def advance_with_overshoot(effect: Effect, voltage_v: FloatArray, sample_period_s: float, past: Any,
+                           effects: Iterable[Effect]) -> tuple[FloatArray, Any]:
+    """Continue an effect on the voltage, as `Effect.advance`.
+
+    A hysteresis also gets the extremes of the voltage within each row; see `with_overshoot`.
+    """
+    if not isinstance(effect, BoucWenHysteresis):
+        return effect.advance(voltage_v, sample_period_s, past)
+    before_v = float(voltage_v[0] if past is None else past[0])
+    extremes_v, count = with_overshoot(voltage_v, before_v, effects)
+    behind_v, past = effect.advance(extremes_v, sample_period_s, past)
+    return behind_v[count - 1 :: count], past
 
 
 def as_rows_show(effects: Iterable[Effect], sample_period_s: float) -> tuple[Effect, ...]:

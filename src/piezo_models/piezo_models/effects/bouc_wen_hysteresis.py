@@ -3,7 +3,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -16,135 +15,56 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 STEEPEST = 0.95
 """Largest slope of what is taken from the voltage: the displacement then follows every voltage."""
 
-
 STEP = 1.0 / 64.0
 """Step of the numerical solution, relative to the relaxation voltage."""
 
 GOES_BACK = "the stage would go back while the voltage goes on"
 """Why a hysteresis that takes more than the voltage adds is impossible."""
 
-BISECTIONS = 40
-"""Number of bisections of a step to find where a motion begins."""
 
-KEPT = 16
-"""Number of cached solutions."""
-
-SATURATED = 1e-12
-"""Distance from saturation at which the numerical solution ends."""
+@njit(cache=True, nogil=True)
+def _slope(ahead: float, at_v: float, unloading: float, exponent: float, slope_per_v: float,
+           curvature_per_v2: float) -> float:
+    """Return the slope in one step, for a voltage from the middle."""
+    size = abs(ahead) ** exponent
+    growth = 1.0 + at_v * (slope_per_v + at_v * curvature_per_v2)
+    return STEP * (growth + unloading * size if ahead < 0.0 else growth - size)
 
 
 @njit(cache=True, nogil=True)
-def _exactly(ahead: float, left: float, unloading: float) -> float:
-    """Return what is taken ahead of a motion after its rest, for an exponent of 1."""
-    if ahead < 0.0:
-        until_zero = -ahead
-        if unloading > 0.0:
-            until_zero = math.log1p(unloading * until_zero) / unloading
-        if left < until_zero:
-            grown = -math.expm1(-unloading * left) / unloading if unloading > 0.0 else left
-            return ahead * math.exp(-unloading * left) + grown
-        ahead, left = 0.0, left - until_zero
-    return 1.0 + (ahead - 1.0) * math.exp(-left)
+def taken_part(voltage_v: FloatArray, last_v: float, part: float, relaxation_v: float,
+           unloading: float, exponent: float, slope_per_v: float,
+           curvature_per_v2: float) -> FloatArray:
+    """Return what is taken from a voltage, from the middle, relative to saturation, (N,).
 
-
-@njit(cache=True, nogil=True)
-def _slope(ahead: float, unloading: float, exponent: float) -> float:
-    size = min(abs(ahead), 1.0) ** exponent
-    return 1.0 + unloading * size if ahead < 0.0 else 1.0 - size
-
-
-@njit(cache=True, nogil=True)
-def _solution(unloading: float, exponent: float) -> FloatArray:
-    """Return what is taken after each step of a motion from saturation, and its slopes, (2, N).
-
-    They follow from the Runge-Kutta rule; the slopes are for one step. As the equation contains no
-    voltage, every other motion is a part of this one.
+    Each motion is solved in steps of the voltage by the Runge-Kutta rule. Samples within a step
+    follow from the cubic with its values and slopes.
     """
-    taken = [-1.0]
-    while 1.0 - taken[-1] > SATURATED:
-        ahead = taken[-1]
-        first = _slope(ahead, unloading, exponent)
-        second = _slope(ahead + 0.5 * STEP * first, unloading, exponent)
-        third = _slope(ahead + 0.5 * STEP * second, unloading, exponent)
-        fourth = _slope(ahead + STEP * third, unloading, exponent)
-        taken.append(min(ahead + STEP / 6.0 * (first + 2.0 * (second + third) + fourth), 1.0))
-    solution = np.empty((2, len(taken)))
-    for place in range(len(taken)):
-        solution[0, place] = taken[place]
-        solution[1, place] = STEP * _slope(taken[place], unloading, exponent)
-    return solution
-
-
-@lru_cache(maxsize=KEPT)
-def _kept_solution(unloading: float, exponent: float) -> FloatArray:
-    """Return the solution, cached: a stage that moves sample by sample needs it for each of them.
-
-    It is empty for an exponent of 1, which has an exact solution.
-    """
-    return np.empty((2, 0)) if exponent == 1.0 else _solution(unloading, exponent)
-
-
-@njit(cache=True, nogil=True)
-def _between(solution: FloatArray, place: int, part: float) -> float:
-    """Return the solution at a part of a step, by a cubic with its values and slopes."""
-    begin, end = solution[0, place], solution[0, place + 1]
-    rising = solution[1, place] - (end - begin)
-    falling = end - begin - solution[1, place + 1]
-    left = 1.0 - part
-    return begin * left + end * part + part * left * (rising * left + falling * part)
-
-
-@njit(cache=True, nogil=True)
-def _steps_until(solution: FloatArray, ahead: float) -> float:
-    """Return the number of steps, with a fraction, after which the solution reaches a value."""
-    last = solution.shape[1] - 1
-    if ahead >= solution[0, last]:
-        return float(last)
-    place = max(int(np.searchsorted(solution[0], ahead, side="right")) - 1, 0)
-    low, high = 0.0, 1.0
-    for _ in range(BISECTIONS):
-        part = 0.5 * (low + high)
-        if _between(solution, place, part) < ahead:
-            low = part
-        else:
-            high = part
-    return place + 0.5 * (low + high)
-
-
-@njit(cache=True, nogil=True)
-def _after(solution: FloatArray, steps: float) -> float:
-    """Return what is taken after some steps from saturation."""
-    last = solution.shape[1] - 1
-    if steps >= last:
-        return solution[0, last]
-    place = int(steps)
-    return _between(solution, place, steps - place)
-
-
-@njit(cache=True, nogil=True)
-def _taken(voltage_v: FloatArray, last_v: float, taken_v: float, saturation_v: float,
-           relaxation_v: float, unloading: float, exponent: float,
-           solution: FloatArray) -> FloatArray:
-    """Return what is taken from a voltage, (N,), however far samples are apart."""
+    shape = (unloading, exponent, slope_per_v, curvature_per_v2)
     taken = np.empty(voltage_v.size)
-    last_direction, steps = 0.0, 0.0
+    direction = begin = slope = 0.0
+    end = end_slope = end_v = step_v = 0.0
     for n in range(voltage_v.size):
-        move_v = voltage_v[n] - last_v
-        last_v = voltage_v[n]
-        if move_v != 0.0:
-            direction = math.copysign(1.0, move_v)
-            left, ahead = abs(move_v) / relaxation_v, direction * taken_v / saturation_v
-            if exponent == 1.0:
-                ahead = _exactly(ahead, left, unloading)
-            else:
-                if direction != last_direction:
-                    steps = _steps_until(solution, ahead)
-                steps += left / STEP
-                # Beyond saturation, nothing is given back.
-                ahead = max(ahead, _after(solution, steps))
-            last_direction = direction
-            taken_v = direction * ahead * saturation_v
-        taken[n] = taken_v
+        if voltage_v[n] != last_v:
+            if math.copysign(1.0, voltage_v[n] - last_v) != direction:
+                direction = math.copysign(1.0, voltage_v[n] - last_v)
+                step_v = direction * STEP * relaxation_v
+                end, end_v = direction * part, last_v
+                end_slope = _slope(end, end_v, *shape)
+            while direction * (voltage_v[n] - end_v) > 0.0:
+                begin, slope = end, end_slope
+                halfway_v, end_v = end_v + 0.5 * step_v, end_v + step_v
+                second = _slope(begin + 0.5 * slope, halfway_v, *shape)
+                third = _slope(begin + 0.5 * second, halfway_v, *shape)
+                fourth = _slope(begin + third, end_v, *shape)
+                end = begin + (slope + 2.0 * (second + third) + fourth) / 6.0
+                end_slope = _slope(end, end_v, *shape)
+            last_v = voltage_v[n]
+            left = (end_v - last_v) / step_v
+            rising, falling = slope - (end - begin), end - begin - end_slope
+            part = direction * (begin * left + end * (1.0 - left) + left * (1.0 - left) * (
+                rising * left + falling * (1.0 - left)))
+        taken[n] = part
     return taken
 
 
@@ -181,10 +101,13 @@ class BoucWenHysteresis(Effect):
         """Continue the signal behind the effect; the past is the last voltage and its z."""
         signal = np.ascontiguousarray(signal, dtype=float)
         last_v, taken_v = (float(signal[0]), 0.0) if past is None else past
-        taken = _taken(signal, last_v, taken_v, self.saturation_v, self.relaxation_v,
-                       self.unloading, self.exponent,
-                       _kept_solution(self.unloading, self.exponent))
+        taken = self._taken_v(signal, last_v, taken_v)
         return signal - taken, (float(signal[-1]), float(taken[-1]))
+
+    def _taken_v(self, voltage_v: FloatArray, last_v: float, taken_v: float) -> FloatArray:
+        return self.saturation_v * taken_part(
+            voltage_v, last_v, taken_v / self.saturation_v, self.relaxation_v, self.unloading,
+            self.exponent, 0.0, 0.0)
 
     def memory_after(self, voltage_v: ArrayLike) -> Any:
         """Return the memory after voltages; as the equation has no time, their period is free."""

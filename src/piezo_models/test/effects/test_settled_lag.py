@@ -9,6 +9,7 @@ from scipy.signal import cont2discrete, lfilter, ss2tf
 
 from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import SETTLED, AmplifierLag, SettledLag
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
@@ -85,6 +86,24 @@ def test_the_hysteresis_remembers_an_overshoot_within_a_row(quality_factor):
     error_um, forgotten_um = (
         np.abs(each - true_um)[standing].max() for each in (found_um, forgotten_um))
     assert error_um < 0.05 * forgotten_um
+
+
+def test_a_hysteresis_that_drifts_remembers_it_too_also_from_part_to_part():
+    amplifier, loops = SecondOrderAmplifier(LAG_S, 1.5), BoucWenHysteresis(5.0, 20.0)
+    voltage_v = np.append(np.zeros(10), np.repeat([10.0, 50.0, 20.0, 60.0, 30.0], 20))
+    numerator, denominator = ss2tf(*discrete(amplifier.lag()))
+    behind_v = lfilter(numerator[0], denominator, np.repeat(voltage_v, FINE))
+    true_um = 0.2 * loops.apply(behind_v, ROW_S / FINE)[::FINE]
+    model = StageModel(PreisachModel.line(0.0, 100.0, 0.2), CreepDynamics((), ()),
+                       ElectricVibrationDynamics(), effects=(amplifier, loops))
+    memory = model.memory(0.0)
+    found_um = np.concatenate([
+        model.simulate(part_v, ROW_S, memory) for part_v in np.array_split(voltage_v, 9)])
+    forgotten_um = replace(model, effects=(AmplifierLag(LAG_S), loops)).simulate(voltage_v, ROW_S)
+    standing = (np.arange(voltage_v.size) - 10) % 20 >= 15
+    error_um, of_none_um = (np.abs(each - true_um)[standing].max()
+                            for each in (found_um, forgotten_um))
+    assert error_um < 0.05 * of_none_um
 
 
 @pytest.mark.parametrize("rows", [

@@ -6,6 +6,7 @@ import numpy as np
 
 from piezo_controller.feedback.synthesis.weights import DesignWeights
 from piezo_models.cascade import StageModel
+from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import zoh
 from piezo_models.linear.lifted import lift as lift_matrices
@@ -51,8 +52,16 @@ def clock_plant(model: StageModel, period_s: float) -> control.StateSpace:
 
 
 def hysteresis_gain_range(model: StageModel) -> tuple[float, float]:
-    """Return the lowest and highest secant gain (3.16) of the hysteresis at mid-travel (um/V)."""
-    return secant_gain_range(model.hysteresis)
+    """Return the lowest and highest secant gain (3.16) of the hysteresis at mid-travel (um/V).
+
+    In front of it, a Bouc-Wen hysteresis has the slopes of its loops.
+    """
+    lowest, highest = secant_gain_range(model.hysteresis)
+    for effect in model.effects_at("voltage"):
+        if isinstance(effect, BoucWenHysteresis):
+            least, most = effect.gain_range
+            lowest, highest = lowest * least, highest * most
+    return lowest, highest
 
 
 def secant_gain_range(hysteresis: PreisachModel) -> tuple[float, float]:
