@@ -125,3 +125,35 @@ def test_a_hysteresis_beside_a_curve_is_found_after_cycles_that_were_not_recorde
     unseen = measured(turning([0.0, 85.0, 20.0, 70.0, 40.0, 95.0, 10.0, 0.0], 900), 2, **stage)
     noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
     assert unseen_errors(model, unseen)["e_y_percent"] < 1.5 * noise_percent
+
+
+def magnetised(voltage_v):
+    """Solve k dm = |dv| (L(v) - m) where m moves with the voltage: Jiles and Atherton (1986)."""
+    fine_v = np.interp(np.arange(0.0, voltage_v.size, 0.02), np.arange(voltage_v.size), voltage_v)
+    off = (fine_v - 49.999) / 30.0
+    tends_to = 1.0 / np.tanh(off) - 1.0 / off
+    part, parts = float(tends_to[0]), []
+    for way_v, target in zip(np.diff(fine_v, prepend=fine_v[0]).tolist(), tends_to.tolist(),
+                             strict=True):
+        if way_v * (target - part) > 0.0:
+            part += (target - part) * -math.expm1(-abs(way_v) / 12.0)
+        parts.append(part)
+    return np.array(parts[::50])
+
+
+def test_domains_that_saturate_are_approximated_to_the_noise():
+    def measured_after_cycles(levels_v, rows, seed):
+        voltage_v = turning([0.0, 100.0, 0.0, *levels_v], rows)
+        noise_um = NOISE_UM * np.random.default_rng(seed).standard_normal(rows)
+        moved_um = GAIN_UM_PER_V * (voltage_v + 40.0 * magnetised(voltage_v))
+        return recording_of({"time_s": np.arange(rows) * PERIOD_S, "voltage_v": voltage_v,
+                             "displacement_um": moved_um + noise_um})
+
+    sizes_v = np.linspace(48.0, 4.0, 12)
+    levels_v = 50.0 + np.r_[np.column_stack([sizes_v, -sizes_v]).ravel(), 0.0]
+    loops = measured_after_cycles([*levels_v, 100.0, 30.0, 100.0, 60.0, 100.0, 0.0], 2000, 5)
+    model = identify(hysteresis=loops, density=DensityOptions(20, 1e-10, 1e-10)).model
+    unseen = measured_after_cycles(
+        [85.0, 20.0, 70.0, 40.0, 95.0, 10.0, 60.0, 30.0, 45.0, 0.0], 1000, 6)
+    noise_percent = 100.0 * NOISE_UM / np.std(unseen.displacement_um)
+    assert unseen_errors(model, unseen)["e_y_percent"] < 1.5 * noise_percent

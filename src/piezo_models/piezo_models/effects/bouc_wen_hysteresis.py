@@ -27,7 +27,8 @@ def _slope(ahead: float, at_v: float, unloading: float, exponent: float, slope_p
            curvature_per_v2: float) -> float:
     """Return the slope in one step, for a voltage from the middle."""
     size = abs(ahead) ** exponent
-    growth = 1.0 + at_v * (slope_per_v + at_v * curvature_per_v2)
+    # A negative growth would run away.
+    growth = max(1.0 + at_v * (slope_per_v + at_v * curvature_per_v2), 0.0)
     return STEP * (growth + unloading * size if ahead < 0.0 else growth - size)
 
 

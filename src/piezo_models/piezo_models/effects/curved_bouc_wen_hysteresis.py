@@ -28,9 +28,10 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
     """The voltage that acts is v + c v^2 + d v^3 - z, where z grows differently at each voltage.
 
     With v = u - m, the part x = z / S grows by L dx/du = g - x^n, and by g + r |x|^n while what is
-    left of the opposite direction decreases, where g = 1 + a v + b v^2. With r = n = 1, this is the
-    equation of Coleman and Hodgdon (1986) with polynomials. With r = 0 and n = 1, it approximates
-    that of Jiles and Atherton (1986), whose loops become narrow where the domains saturate.
+    left of the opposite direction decreases, where g = max(1 + a v + b v^2, 0). With r = n = 1,
+    this is the equation of Coleman and Hodgdon (1986) with polynomials. With r = 0 and n = 1, it
+    approximates that of Jiles and Atherton (1986), whose loops become narrow where the domains
+    saturate.
 
     A curve behind the hysteresis makes z larger where it is steeper. The one beside it does not, as
     in the sum of a polynomial of the voltage and a hysteresis.

@@ -5,6 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
@@ -93,6 +95,17 @@ def test_it_grows_by_another_amount_at_each_voltage(unloading, exponent, within_
                                atol=1e-12, args=(before_v, np.sign(after_v - before_v))).y[0, -1])
     assert levels_v - effect.apply(levels_v, PERIOD_S) == pytest.approx(
         1.5 * np.array(parts), abs=within_v)
+
+
+@given(st.floats(0.0, 5.0), st.floats(0.5, 5.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
+def test_what_is_taken_is_bounded_with_all_parameters_of_a_fit(unloading, exponent, slope, curve):
+    half_v = 0.5 * EXTENT.span_v
+    effect = CurvedBoucWenHysteresis(1.0, 1.0, unloading, exponent,
+                                     growth_slope_per_v=slope / half_v,
+                                     growth_curvature_per_v2=curve / half_v**2)
+    voltage_v = 2.0 * turns(4, 60)
+    taken_v = voltage_v - effect.apply(voltage_v, PERIOD_S)
+    assert np.abs(taken_v).max() <= 1.01 * 3.0 ** (1.0 / exponent)
 
 
 @pytest.mark.parametrize("curvature_per_v, is_possible", [(0.01, True), (0.02, False)])
