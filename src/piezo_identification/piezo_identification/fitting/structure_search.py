@@ -819,12 +819,26 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
             for effect in model.effects)), (delay_s or 0.0) + late_s)
     for place in ahead:
         moved_s = model.effects[place].parameters()["time_constant_s"]
+        for kept_s in _lags_of_overdamped(model.effects[place]):
+            yield Structure(
+                f"its amplifier's lag of {moved_s - kept_s:.3g} s behind the hysteresis",
+                _electric(_with(_without(model, place), AmplifierLag(kept_s)),
+                          behind_s + moved_s - kept_s), delay_s)
         yield Structure(
             "its amplifier's lag behind the hysteresis",
             _electric(_without(model, place), behind_s + moved_s), delay_s)
         if behind_s > 0.0:
             yield Structure("its lags exchanged", _with(_electric(
                 _without(model, place), moved_s), AmplifierLag(behind_s)), delay_s)
+
+
+def _lags_of_overdamped(amplifier: Effect) -> tuple[float, ...]:
+    """Return the two lags in s that make up an overdamped amplifier of second order, or none."""
+    if not isinstance(amplifier, SecondOrderAmplifier) or amplifier.quality_factor >= 0.5:
+        return ()
+    half_s = 0.5 * amplifier.time_constant_s
+    apart_s = half_s * np.sqrt(1.0 - 4.0 * amplifier.quality_factor**2)
+    return float(half_s - apart_s), float(half_s + apart_s)
 
 
 def _lag_of_coupled_modes(modes: Sequence[VibrationMode]) -> float:

@@ -217,6 +217,26 @@ def test_a_damped_mode_behind_the_hysteresis_becomes_the_amplifier_in_front_of_i
         {"time_constant_s": LAG_S, "quality_factor": 0.8}, rel=0.1)
 
 
+def test_an_overdamped_amplifier_becomes_a_lag_on_each_side_of_the_hysteresis(plant, play):
+    front_s, behind_s = 2e-4, 6e-4
+    stage = replace(plant, effects=(AmplifierLag(front_s),), dynamics=replace(
+        plant.dynamics, time_constant_s=behind_s))
+    both_in_front = replace(
+        plant, dynamics=replace(plant.dynamics, time_constant_s=0.0), effects=(
+            SecondOrderAmplifier(front_s + behind_s,
+                                 np.sqrt(front_s * behind_s) / (front_s + behind_s)),))
+    recordings = steps_and_loops(play, stage)
+    problem = WholeModel(both_in_front, recordings, [0.0] * len(recordings))
+    before = problem.fit(both_in_front, None, 8)
+    tried = [problem.fit(each.model, each.delay_s, 8) for each in structures(problem, before)
+             if each.change.startswith("its amplifier's lag of")]
+    assert len(tried) == 2
+    best = best_of(tried)
+    assert is_better(best, before)
+    assert best.model.effects[0].time_constant_s == pytest.approx(front_s, rel=0.1)
+    assert best.model.dynamics.time_constant_s == pytest.approx(behind_s, rel=0.1)
+
+
 def test_two_lags_far_apart_are_tried_as_the_amplifier_next_to_them(plant, play):
     two_lags = replace(plant, dynamics=ElectricVibrationDynamics(
         0.0, (1000.0, 4909.0), (15.0, 0.082)))

@@ -24,18 +24,21 @@ GOES_BACK = "the stage would go back while the voltage goes on"
 
 @njit(cache=True, nogil=True)
 def _slope(ahead: float, at_v: float, unloading: float, exponent: float, slope_per_v: float,
-           curvature_per_v2: float) -> float:
+           curvature_per_v2: float, tilt_per_v: float) -> float:
     """Return the slope in one step, for a voltage from the middle."""
+    tilt = tilt_per_v * at_v
     size = abs(ahead) ** exponent
     # A negative growth would run away.
     growth = max(1.0 + at_v * (slope_per_v + at_v * curvature_per_v2), 0.0)
-    return STEP * (growth + unloading * size if ahead < 0.0 else growth - size)
+    if ahead < 0.0:
+        return STEP * max(growth + (unloading - tilt) * size, 0.0)
+    return STEP * (growth - (1.0 + tilt) * size)
 
 
 @njit(cache=True, nogil=True)
 def taken_part(voltage_v: FloatArray, last_v: float, part: float, relaxation_v: float,
-           unloading: float, exponent: float, slope_per_v: float,
-           curvature_per_v2: float) -> FloatArray:
+               unloading: float, exponent: float, slope_per_v: float, curvature_per_v2: float,
+               decay_slope_per_v: float) -> FloatArray:
     """Return what is taken from a voltage, from the middle, relative to saturation, (N,).
 
     Each motion is solved in steps of the voltage by the Runge-Kutta rule. Samples within a step
@@ -43,23 +46,24 @@ def taken_part(voltage_v: FloatArray, last_v: float, part: float, relaxation_v: 
     """
     shape = (unloading, exponent, slope_per_v, curvature_per_v2)
     taken = np.empty(voltage_v.size)
-    direction = begin = slope = 0.0
+    direction = begin = slope = tilt_per_v = 0.0
     end = end_slope = end_v = step_v = 0.0
     for n in range(voltage_v.size):
         if voltage_v[n] != last_v:
             if math.copysign(1.0, voltage_v[n] - last_v) != direction:
                 direction = math.copysign(1.0, voltage_v[n] - last_v)
-                step_v = direction * STEP * relaxation_v
+                step_v, tilt_per_v = (
+                    direction * STEP * relaxation_v, direction * decay_slope_per_v)
                 end, end_v = direction * part, last_v
-                end_slope = _slope(end, end_v, *shape)
+                end_slope = _slope(end, end_v, *shape, tilt_per_v)
             while direction * (voltage_v[n] - end_v) > 0.0:
                 begin, slope = end, end_slope
                 halfway_v, end_v = end_v + 0.5 * step_v, end_v + step_v
-                second = _slope(begin + 0.5 * slope, halfway_v, *shape)
-                third = _slope(begin + 0.5 * second, halfway_v, *shape)
-                fourth = _slope(begin + third, end_v, *shape)
+                second = _slope(begin + 0.5 * slope, halfway_v, *shape, tilt_per_v)
+                third = _slope(begin + 0.5 * second, halfway_v, *shape, tilt_per_v)
+                fourth = _slope(begin + third, end_v, *shape, tilt_per_v)
                 end = begin + (slope + 2.0 * (second + third) + fourth) / 6.0
-                end_slope = _slope(end, end_v, *shape)
+                end_slope = _slope(end, end_v, *shape, tilt_per_v)
             last_v = voltage_v[n]
             left = (end_v - last_v) / step_v
             rising, falling = slope - (end - begin), end - begin - end_slope
@@ -108,7 +112,7 @@ class BoucWenHysteresis(Effect):
     def _taken_v(self, voltage_v: FloatArray, last_v: float, taken_v: float) -> FloatArray:
         return self.saturation_v * taken_part(
             voltage_v, last_v, taken_v / self.saturation_v, self.relaxation_v, self.unloading,
-            self.exponent, 0.0, 0.0)
+            self.exponent, 0.0, 0.0, 0.0)
 
     def memory_after(self, voltage_v: ArrayLike) -> Any:
         """Return the memory after voltages; as the equation has no time, their period is free."""

@@ -19,6 +19,9 @@ MOST_CURVED = 0.4
 """Largest change of the slope of the curve by each of its coefficients, from the middle to an end;
 for the curvature with 0 V at one end, twice as much."""
 
+MOST_TILTED = 0.5
+"""Largest difference of the decay at an end of the voltage range from that in the middle."""
+
 CYCLE = 200
 """Number of steps from one end of the voltage range to the other in which its slopes are seen."""
 
@@ -27,11 +30,12 @@ CYCLE = 200
 class CurvedBoucWenHysteresis(BoucWenHysteresis):
     """The voltage that acts is v + c v^2 + d v^3 - z, where z grows differently at each voltage.
 
-    With v = u - m, the part x = z / S grows by L dx/du = g - x^n, and by g + r |x|^n while what is
-    left of the opposite direction decreases, where g = max(1 + a v + b v^2, 0). With r = n = 1,
-    this is the equation of Coleman and Hodgdon (1986) with polynomials. With r = 0 and n = 1, it
+    With v = u - m, the part x = z / S grows by L dx/du = g - (1 + t) x^n, and by g + (r - t) |x|^n
+    or not at all while what is left of the opposite direction decreases. Here, g is 1 + a v + b v^2
+    or 0, and t is e v if the voltage rises and -e v if it falls. With r = n = 1 and e = 0, this is
+    the equation of Coleman and Hodgdon (1986) with polynomials. With r = 0, n = 1 and e = 0, it
     approximates that of Jiles and Atherton (1986), whose loops become narrow where the domains
-    saturate.
+    saturate. With e, the two sides of a loop differ.
 
     A curve behind the hysteresis makes z larger where it is steeper. The one beside it does not, as
     in the sum of a polynomial of the voltage and a hysteresis.
@@ -45,6 +49,7 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
     cubic_per_v2: float = parameter("1/V^2", "linear", -10.0, 10.0, default=0.0)
     growth_slope_per_v: float = parameter("1/V", "linear", -10.0, 10.0, default=0.0)
     growth_curvature_per_v2: float = parameter("1/V^2", "linear", -10.0, 10.0, default=0.0)
+    decay_slope_per_v: float = parameter("1/V", "linear", -10.0, 10.0, default=0.0)
     middle_v: float = parameter("V", "fixed", default=0.0)
 
     def advance(self, signal: FloatArray, sample_period_s: float,
@@ -59,7 +64,7 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
         return self.saturation_v * taken_part(
             voltage_v - self.middle_v, last_v - self.middle_v, taken_v / self.saturation_v,
             self.relaxation_v, self.unloading, self.exponent, self.growth_slope_per_v,
-            self.growth_curvature_per_v2)
+            self.growth_curvature_per_v2, self.decay_slope_per_v)
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
@@ -70,7 +75,8 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
         half_v = 0.5 * extent.span_v
         most = {"curvature_per_v": MOST_CURVED / extent.span_v,
                 "cubic_per_v2": MOST_CURVED / (3.0 * half_v**2),
-                "growth_slope_per_v": 1.0 / half_v, "growth_curvature_per_v2": half_v**-2}
+                "growth_slope_per_v": 1.0 / half_v, "growth_curvature_per_v2": half_v**-2,
+                "decay_slope_per_v": MOST_TILTED / half_v}
         return {**super().bounds(extent), **{name: (-each, each) for name, each in most.items()}}
 
     def impossible(self, extent: Extent) -> str | None:

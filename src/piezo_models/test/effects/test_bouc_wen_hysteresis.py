@@ -78,16 +78,18 @@ def test_a_curve_beside_it_adds_to_the_voltage_and_leaves_the_hysteresis_as_it_i
 
 
 @pytest.mark.parametrize(("unloading", "exponent", "within_v"), [
-    (0.0, 1.0, 2e-5), (1.0, 1.0, 1e-8), (0.4, 2.0, 1e-7), (3.0, 0.7, 1e-4)])
-def test_it_grows_by_another_amount_at_each_voltage(unloading, exponent, within_v):
-    effect = CurvedBoucWenHysteresis(1.5, 8.0, unloading, exponent, growth_slope_per_v=0.03,
-                                     growth_curvature_per_v2=-0.004, middle_v=1.0)
+    (0.0, 1.0, 2e-5), (1.0, 1.0, 2e-6), (0.4, 2.0, 1e-7), (3.0, 0.7, 1e-4)])
+def test_it_grows_and_decays_by_other_amounts_at_each_voltage(unloading, exponent, within_v):
+    effect = CurvedBoucWenHysteresis(
+        1.5, 8.0, unloading, exponent, growth_slope_per_v=0.03, growth_curvature_per_v2=-0.004,
+        decay_slope_per_v=0.02, middle_v=1.0)
 
     def change(way_v, part, before_v, sign):
         off_v = before_v + sign * way_v - 1.0
         growth = 1.0 + 0.03 * off_v - 0.004 * off_v**2
-        size = np.abs(part) ** exponent
-        return sign * (growth - np.where(sign * part < 0.0, -unloading, 1.0) * size) / 8.0
+        size, tilt = np.abs(part) ** exponent, 0.02 * sign * off_v
+        return sign * (growth - np.where(
+            sign * part < 0.0, tilt - unloading, 1.0 + tilt) * size) / 8.0
 
     levels_v, parts = turns(), [0.0]
     for before_v, after_v in pairwise(levels_v):
@@ -97,15 +99,18 @@ def test_it_grows_by_another_amount_at_each_voltage(unloading, exponent, within_
         1.5 * np.array(parts), abs=within_v)
 
 
-@given(st.floats(0.0, 5.0), st.floats(0.5, 5.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
-def test_what_is_taken_is_bounded_with_all_parameters_of_a_fit(unloading, exponent, slope, curve):
+@given(st.floats(0.0, 5.0), st.floats(0.5, 5.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0),
+       st.floats(-0.5, 0.5))
+def test_what_is_taken_is_bounded_with_all_parameters_of_a_fit(
+        unloading, exponent, slope, curve, tilt):
     half_v = 0.5 * EXTENT.span_v
     effect = CurvedBoucWenHysteresis(1.0, 1.0, unloading, exponent,
                                      growth_slope_per_v=slope / half_v,
-                                     growth_curvature_per_v2=curve / half_v**2)
+                                     growth_curvature_per_v2=curve / half_v**2,
+                                     decay_slope_per_v=tilt / half_v)
     voltage_v = 2.0 * turns(4, 60)
     taken_v = voltage_v - effect.apply(voltage_v, PERIOD_S)
-    assert np.abs(taken_v).max() <= 1.01 * 3.0 ** (1.0 / exponent)
+    assert np.abs(taken_v).max() <= 1.01 * 6.0 ** (1.0 / exponent)
 
 
 @pytest.mark.parametrize("curvature_per_v, is_possible", [(0.01, True), (0.02, False)])
