@@ -36,26 +36,25 @@ def _slope(ahead: float, at_v: float, unloading: float, exponent: float, slope_p
 
 
 @njit(cache=True, nogil=True)
-def taken_part(voltage_v: FloatArray, last_v: float, part: float, relaxation_v: float,
-               unloading: float, exponent: float, slope_per_v: float, curvature_per_v2: float,
-               decay_slope_per_v: float) -> FloatArray:
+def taken_parts(voltage_v: FloatArray, last_v: float, motion: FloatArray, relaxation_v: float,
+                unloading: float, exponent: float, slope_per_v: float, curvature_per_v2: float,
+                decay_slope_per_v: float) -> tuple[FloatArray, FloatArray]:
     """Return what is taken from a voltage, from the middle, relative to saturation, (N,).
 
-    Each motion is solved in steps of the voltage by the Runge-Kutta rule. Samples within a step
-    follow from the cubic with its values and slopes.
+    It is followed by the motion to continue from, like the given one. Each motion is solved in
+    steps of the voltage by the Runge-Kutta rule. Samples within a step follow from the cubic with
+    its values and slopes.
     """
+    part, direction, begin, slope, end, end_slope, end_v = motion
     shape = (unloading, exponent, slope_per_v, curvature_per_v2)
     taken = np.empty(voltage_v.size)
-    direction = begin = slope = tilt_per_v = 0.0
-    end = end_slope = end_v = step_v = 0.0
     for n in range(voltage_v.size):
         if voltage_v[n] != last_v:
             if math.copysign(1.0, voltage_v[n] - last_v) != direction:
                 direction = math.copysign(1.0, voltage_v[n] - last_v)
-                step_v, tilt_per_v = (
-                    direction * STEP * relaxation_v, direction * decay_slope_per_v)
                 end, end_v = direction * part, last_v
-                end_slope = _slope(end, end_v, *shape, tilt_per_v)
+                end_slope = _slope(end, end_v, *shape, direction * decay_slope_per_v)
+            step_v, tilt_per_v = direction * STEP * relaxation_v, direction * decay_slope_per_v
             while direction * (voltage_v[n] - end_v) > 0.0:
                 begin, slope = end, end_slope
                 halfway_v, end_v = end_v + 0.5 * step_v, end_v + step_v
@@ -70,7 +69,11 @@ def taken_part(voltage_v: FloatArray, last_v: float, part: float, relaxation_v: 
             part = direction * (begin * left + end * (1.0 - left) + left * (1.0 - left) * (
                 rising * left + falling * (1.0 - left)))
         taken[n] = part
-    return taken
+    return taken, np.array([part, direction, begin, slope, end, end_slope, end_v])
+
+
+STILL = np.zeros(7)
+"""Motion of `taken_parts` of a stage from which nothing is taken."""
 
 
 @dataclass(frozen=True)
@@ -99,20 +102,21 @@ class BoucWenHysteresis(Effect):
     def apply(self, signal: FloatArray, sample_period_s: float,
               rest: float | None = None) -> FloatArray:
         """Return the signal behind the effect, as `Effect.apply` describes."""
-        return self.advance(signal, sample_period_s, None if rest is None else (rest, 0.0))[0]
+        past = None if rest is None else np.append(rest, STILL)
+        return self.advance(signal, sample_period_s, past)[0]
 
     def advance(self, signal: FloatArray, sample_period_s: float,
                 past: Any = None) -> tuple[FloatArray, Any]:
-        """Continue the signal behind the effect; the past is the last voltage and its z."""
+        """Continue the signal behind the effect; the past is the last voltage and its motion."""
         signal = np.ascontiguousarray(signal, dtype=float)
-        last_v, taken_v = (float(signal[0]), 0.0) if past is None else past
-        taken = self._taken_v(signal, last_v, taken_v)
-        return signal - taken, (float(signal[-1]), float(taken[-1]))
+        last_v, *motion = np.append(signal[0], STILL) if past is None else past
+        parts, moving = self._parts(signal, last_v, np.array(motion))
+        return signal - self.saturation_v * parts, np.append(signal[-1], moving)
 
-    def _taken_v(self, voltage_v: FloatArray, last_v: float, taken_v: float) -> FloatArray:
-        return self.saturation_v * taken_part(
-            voltage_v, last_v, taken_v / self.saturation_v, self.relaxation_v, self.unloading,
-            self.exponent, 0.0, 0.0, 0.0)
+    def _parts(self, voltage_v: FloatArray, last_v: float,
+               motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return taken_parts(voltage_v, last_v, motion, self.relaxation_v, self.unloading,
+                           self.exponent, 0.0, 0.0, 0.0)
 
     def memory_after(self, voltage_v: ArrayLike) -> Any:
         """Return the memory after voltages; as the equation has no time, their period is free."""

@@ -11,7 +11,7 @@ from piezo_models.effects.bouc_wen_hysteresis import (
     GOES_BACK,
     STEEPEST,
     BoucWenHysteresis,
-    taken_part,
+    taken_parts,
 )
 from piezo_models.effects.effect import Extent, parameter
 
@@ -60,11 +60,12 @@ class CurvedBoucWenHysteresis(BoucWenHysteresis):
         curve = self.curvature_per_v + self.cubic_per_v2 * off_v
         return behind + curve * np.square(off_v), memory
 
-    def _taken_v(self, voltage_v: FloatArray, last_v: float, taken_v: float) -> FloatArray:
-        return self.saturation_v * taken_part(
-            voltage_v - self.middle_v, last_v - self.middle_v, taken_v / self.saturation_v,
-            self.relaxation_v, self.unloading, self.exponent, self.growth_slope_per_v,
-            self.growth_curvature_per_v2, self.decay_slope_per_v)
+    def _parts(self, voltage_v: FloatArray, last_v: float,
+               motion: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return taken_parts(
+            voltage_v - self.middle_v, last_v - self.middle_v, motion, self.relaxation_v,
+            self.unloading, self.exponent, self.growth_slope_per_v, self.growth_curvature_per_v2,
+            self.decay_slope_per_v)
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
