@@ -20,6 +20,7 @@ from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.band_limited_voltage import BandLimitedVoltage
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode, modes_in_parallel, modes_in_series
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.effect import with_fitted_values
 from piezo_models.effects.second_order_amplifier import SecondOrderAmplifier
 from piezo_models.effects.sensor_lag import SensorLag
@@ -280,6 +281,14 @@ def _with_plain_bouc_wen(model: StageModel) -> StageModel:
     return replace(model, effects=tuple(
         BoucWenHysteresis(**{name: getattr(effect, name) for name in names})
         if isinstance(effect, BoucWenHysteresis) else effect for effect in model.effects))
+
+
+def _with_general_bouc_wen(model: StageModel) -> StageModel:
+    """Return a model whose plain Bouc-Wen hysteresis may differ with the voltage."""
+    middle_v = 0.5 * (model.hysteresis.voltage_min_v + model.hysteresis.voltage_max_v)
+    return replace(model, effects=tuple(
+        CurvedBoucWenHysteresis(**effect.parameters(), middle_v=middle_v)
+        if type(effect) is BoucWenHysteresis else effect for effect in model.effects))
 
 
 def _with_fewer_modes(problem: WholeModel, model: StageModel) -> Iterator[tuple[StageModel, str]]:
@@ -724,6 +733,9 @@ def _with_less(fit: WholeFit) -> Iterator[Structure]:
         if isinstance(effect, SecondOrderAmplifier):
             yield Structure("its amplifier of first order", _with(
                 _without(model, place), AmplifierLag(effect.time_constant_s)), delay_s)
+        if isinstance(effect, CurvedBoucWenHysteresis):
+            yield Structure(
+                f"{BOUC_WEN} that is equal at all voltages", _with_plain_bouc_wen(model), delay_s)
     if model.dynamics.antiresonance_frequencies_rad_per_s:
         yield _without_cancelled_mode(model, delay_s)
     elif modes:
@@ -789,7 +801,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
 
 
 def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
-    """Yield models with a lag at another place, and with other modes in parallel."""
+    """Yield models with a lag at another place, and with other modes in parallel or loops."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
     ahead = [place for place, effect in enumerate(model.effects)
@@ -803,6 +815,9 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
     if delay_s is not None and delay_s > 0.0 and not ahead:
         yield Structure("its delay as an amplifier's lag",
                         _with(model, AmplifierLag(delay_s)), None)
+    if any(type(effect) is BoucWenHysteresis for effect in model.effects):
+        yield Structure(f"{BOUC_WEN} that differs with the voltage",
+                        _with_general_bouc_wen(model), delay_s)
     if any(type(effect) is VibrationMode for effect in model.effects):
         yield Structure("its modes out of phase", replace(model, effects=tuple(
             CoupledMode(*effect.parameters().values()) if type(effect) is VibrationMode else effect
@@ -896,14 +911,27 @@ def _with_more(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     yield from _with_faster_creep(problem, model, delay_s)
     if problem.responses:
         return  # The search for the order of the response has chosen its modes.
-    shown = min(problem.evidence(fit), key=lambda evidence: evidence.sample_period_s)
-    for mode in VibrationMode.starts(shown)[:1]:
+    for mode in _further_modes(problem, fit):
         yield Structure(f"with a mode of {mode.frequency_rad_per_s:.4g} rad/s",
                         _with(model, mode), delay_s)
         # With such modes, a further one may be out of phase or overdamped.
         if any(type(effect) is CoupledMode for effect in model.effects):
             yield Structure(f"with a coupled mode of {mode.frequency_rad_per_s:.4g} rad/s", _with(
                 model, CoupledMode(*mode.parameters().values())), delay_s)
+
+
+def _further_modes(problem: WholeModel, fit: WholeFit) -> Iterator[VibrationMode]:
+    """Yield the mode that explains most of the fastest recording, which may be one of slow errors.
+
+    If that is far from the noise, the best mode near the others or faster follows.
+    """
+    shown, _ = min(zip(problem.evidence(fit), problem.over_noise(fit), strict=False),
+                   key=lambda entry: (entry[0].sample_period_s, -entry[1]))
+    yield from VibrationMode.starts(shown)[:1]
+    known = [effect.frequency_rad_per_s for effect in fit.model.effects
+             if isinstance(effect, VibrationMode)]
+    if known and problem.fastest_over_noise(fit) > SETTINGS.wrong:
+        yield from VibrationMode.starts(shown, 0.5 * min(known))[:1]
 
 
 def _with_creep(problem: WholeModel, model: StageModel,

@@ -55,7 +55,7 @@ class CoupledMode(VibrationMode):
         return (1.0 - self.participation) * signal + branch
 
     @classmethod
-    def starts(cls, evidence: Evidence) -> list[Self]:
+    def starts(cls, evidence: Evidence, lowest_rad_per_s: float = 0.0) -> list[Self]:
         """Return none: `identify` finds these modes together with the dynamics."""
         return []
 

@@ -80,9 +80,9 @@ class VibrationMode(Effect):
                                         np.pi / extent.sample_period_s)}
 
     @classmethod
-    def starts(cls, evidence: Evidence) -> list[Self]:
-        """Start with the best of a scan over frequency and damping."""
-        low_hz = LOWEST_PERIODS / evidence.duration_s
+    def starts(cls, evidence: Evidence, lowest_rad_per_s: float = 0.0) -> list[Self]:
+        """Start with the best of a scan over frequency, from the lowest one, and damping."""
+        low_hz = max(LOWEST_PERIODS / evidence.duration_s, lowest_rad_per_s / (2.0 * np.pi))
         high_hz = 0.2 / evidence.sample_period_s
         if low_hz >= high_hz:
             return []
