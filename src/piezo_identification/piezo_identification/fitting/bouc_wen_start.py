@@ -10,7 +10,7 @@ import numpy as np
 from piezo_common.arrays import FloatArray
 from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
-from piezo_models.effects.bouc_wen_hysteresis import STEEPEST, BoucWenHysteresis
+from piezo_models.effects.bouc_wen_hysteresis import STEEPEST
 from piezo_models.effects.curved_bouc_wen_hysteresis import MOST_CURVED, CurvedBoucWenHysteresis
 from piezo_models.hysteresis.preisach import PreisachModel
 
@@ -105,13 +105,11 @@ class _Scan:
         relaxation, unloading, exponent, narrowing = shape
         relaxation_v = self._half_v * relaxation
         most_v = STEEPEST * relaxation_v / (1.0 + unloading)
-        plain = BoucWenHysteresis(most_v, relaxation_v, unloading, exponent)
         loops = CurvedBoucWenHysteresis(
-            **plain.parameters(), growth_curvature_per_v2=-narrowing / self._half_v**2,
-            middle_v=self._middle_v)
-        simulated = loops if narrowing else plain  # which is faster
+            most_v, relaxation_v, unloading, exponent,
+            growth_curvature_per_v2=-narrowing / self._half_v**2, middle_v=self._middle_v)
         taken_um = self._without_um - _joined(
-            self._parts, [part.simulate((simulated,)) for part in self._parts])
+            self._parts, [part.simulate((loops,)) for part in self._parts])
         gain, lost, *_ = _regression(
             [self._without_um, -taken_um, *self._bends], self._measured_um)[0]
         taken = float(np.clip(lost / gain, LEAST_TAKEN, 1.0)) if gain > 0.0 else LEAST_TAKEN
