@@ -87,7 +87,7 @@ def run(folder, address, interrupt_at=None):
     """Run the command; return how long it took, how it ended, and what it printed."""
     begun_s = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-u", "-m", "piezo_identification.commands.diagnose_many_command",
+        [sys.executable, "-u", "-m", "piezo_offline.piezo_command", "diagnose-many",
          folder / "table.csv", "--scheduler", address, "--output", folder / "diagnoses"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         # A shell lets what it starts in the background ignore Ctrl-C.

@@ -47,7 +47,7 @@ def displacement_um(stage: Stage, voltage_v: FloatArray, period_s: float) -> Flo
                                  HeldVoltage(voltage_v, period_s))
 
 
-COMMAND = "piezo_identification.commands.identify_command"
+COMMAND = ("piezo_offline.piezo_command", "identify")
 STAGES: dict[str, Callable[[], Stage]] = {"plays": play_stage, "Duhem": duhem_stage}
 NOISE = 2e-4
 """Standard deviation of the sensor's noise, as a fraction of the range of its recording."""
@@ -125,7 +125,7 @@ def run(trial: Trial, folder: Path) -> Outcome:
         arguments += [f"--{name}", *map(str, files)]
     unseen = recorded(trial.stage, "validation", validation(), VARIANTS[0], folder)
     process = subprocess.Popen(
-        [sys.executable, "-m", COMMAND, *arguments, "--validation", str(unseen)],
+        [sys.executable, "-m", *COMMAND, *arguments, "--validation", str(unseen)],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     printed = process.stdout.read() if process.stdout else ""
     _, status, usage = os.wait4(process.pid, 0)

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The kinds of recordings are recorded as they are described, and are all tried."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from piezo_recorder.reading.reader import read_recording
 from piezo_studies.recording_kinds import __main__
 from piezo_studies.recording_kinds.laboratory_voltages import KINDS
 from piezo_studies.recording_kinds.trials import (
+    COMMAND,
     STAGES,
     Outcome,
     Trial,
@@ -74,6 +78,12 @@ def test_a_table_that_was_ended_goes_on_where_it_stopped(tmp_path, monkeypatch, 
     whole = capsys.readouterr().out
     assert whole.startswith(first)
     assert len(set(ran)) == len(ran) == len(whole.splitlines()) - 2 > 4
+
+
+def test_the_study_starts_a_command_that_there_is():
+    started = subprocess.run([sys.executable, "-m", *COMMAND, "--help"], capture_output=True,
+                             text=True, check=True)
+    assert "--hysteresis" in started.stdout
 
 
 @pytest.mark.long
