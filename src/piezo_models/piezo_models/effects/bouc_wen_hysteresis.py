@@ -15,8 +15,12 @@ from piezo_models.effects.effect import LEAST, MOST, Effect, Evidence, Extent, p
 STEEPEST = 0.95
 """Largest slope of what is taken from the voltage: the displacement then follows every voltage."""
 
-STEP = 1.0 / 64.0
-"""Step of the numerical solution, relative to the relaxation voltage."""
+SHORT_STEP, STEP, LONG_STEP = 1.0 / 64.0, 1.0 / 16.0, 1.0 / 4.0
+"""Steps of the numerical solution, relative to the relaxation voltage: where the branch changes,
+elsewhere, and after a motion of the length `SETTLED`."""
+
+SETTLED = 8.0
+"""Length of a motion, in relaxation voltages, after which its steps are long."""
 
 GOES_BACK = "the stage would go back while the voltage goes on"
 """Why a hysteresis that takes more than the voltage adds is impossible."""
@@ -25,14 +29,14 @@ GOES_BACK = "the stage would go back while the voltage goes on"
 @njit(cache=True, nogil=True)
 def _slope(ahead: float, at_v: float, unloading: float, exponent: float, slope_per_v: float,
            curvature_per_v2: float, tilt_per_v: float) -> float:
-    """Return the slope in one step, for a voltage from the middle."""
+    """Return the slope for a voltage from the middle, in relaxation voltages."""
     tilt = tilt_per_v * at_v
     size = abs(ahead) ** exponent
     # A negative growth would run away.
     growth = max(1.0 + at_v * (slope_per_v + at_v * curvature_per_v2), 0.0)
     if ahead < 0.0:
-        return STEP * max(growth + (unloading - tilt) * size, 0.0)
-    return STEP * (growth - (1.0 + tilt) * size)
+        return max(growth + (unloading - tilt) * size, 0.0)
+    return growth - (1.0 + tilt) * size
 
 
 @njit(cache=True, nogil=True)
@@ -45,34 +49,39 @@ def taken_parts(voltage_v: FloatArray, last_v: float, motion: FloatArray, relaxa
     steps of the voltage by the Runge-Kutta rule. Samples within a step follow from the cubic with
     its values and slopes.
     """
-    part, direction, begin, slope, end, end_slope, end_v = motion
+    part, direction, begin, slope, end, end_slope, end_v, step, length = motion
     shape = (unloading, exponent, slope_per_v, curvature_per_v2)
     taken = np.empty(voltage_v.size)
     for n in range(voltage_v.size):
         if voltage_v[n] != last_v:
             if math.copysign(1.0, voltage_v[n] - last_v) != direction:
                 direction = math.copysign(1.0, voltage_v[n] - last_v)
-                end, end_v = direction * part, last_v
+                end, end_v, length = direction * part, last_v, 0.0
                 end_slope = _slope(end, end_v, *shape, direction * decay_slope_per_v)
-            step_v, tilt_per_v = direction * STEP * relaxation_v, direction * decay_slope_per_v
+            tilt_per_v = direction * decay_slope_per_v
             while direction * (voltage_v[n] - end_v) > 0.0:
                 begin, slope = end, end_slope
+                step = STEP if length < SETTLED else LONG_STEP
+                if begin < 0.0 and begin + 2.0 * step * slope > 0.0:
+                    step = SHORT_STEP
+                step_v, length = direction * step * relaxation_v, length + step
                 halfway_v, end_v = end_v + 0.5 * step_v, end_v + step_v
-                second = _slope(begin + 0.5 * slope, halfway_v, *shape, tilt_per_v)
-                third = _slope(begin + 0.5 * second, halfway_v, *shape, tilt_per_v)
-                fourth = _slope(begin + third, end_v, *shape, tilt_per_v)
-                end = begin + (slope + 2.0 * (second + third) + fourth) / 6.0
+                second = _slope(begin + 0.5 * step * slope, halfway_v, *shape, tilt_per_v)
+                third = _slope(begin + 0.5 * step * second, halfway_v, *shape, tilt_per_v)
+                fourth = _slope(begin + step * third, end_v, *shape, tilt_per_v)
+                end = begin + step * (slope + 2.0 * (second + third) + fourth) / 6.0
                 end_slope = _slope(end, end_v, *shape, tilt_per_v)
             last_v = voltage_v[n]
-            left = (end_v - last_v) / step_v
-            rising, falling = slope - (end - begin), end - begin - end_slope
+            left = direction * (end_v - last_v) / (step * relaxation_v)
+            rising, falling = step * slope - (end - begin), end - begin - step * end_slope
             part = direction * (begin * left + end * (1.0 - left) + left * (1.0 - left) * (
                 rising * left + falling * (1.0 - left)))
         taken[n] = part
-    return taken, np.array([part, direction, begin, slope, end, end_slope, end_v])
+    return taken, np.array(
+        [part, direction, begin, slope, end, end_slope, end_v, step, length])
 
 
-STILL = np.zeros(7)
+STILL = np.zeros(9)
 """Motion of `taken_parts` of a stage from which nothing is taken."""
 
 

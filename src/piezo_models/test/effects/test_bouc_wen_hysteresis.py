@@ -23,8 +23,8 @@ def turns(seed=0, count=8):
 
 
 @pytest.mark.parametrize(("unloading", "exponent", "within_v"), [
-    (0.0, 1.0, 2e-5), (0.4, 1.0, 2e-5), (1.0, 1.0, 1e-8), (3.0, 1.0, 2e-5),
-    (0.4, 2.0, 1e-7), (1.0, 1.6, 1e-6), (3.0, 0.7, 1e-4)])
+    (0.0, 1.0, 2e-5), (0.4, 1.0, 2e-5), (1.0, 1.0, 1e-7), (3.0, 1.0, 2e-5),
+    (0.4, 2.0, 1e-6), (1.0, 1.6, 3e-6), (3.0, 0.7, 1e-4)])
 def test_it_is_the_solution_of_the_equation_of_bouc_and_wen(unloading, exponent, within_v):
     # A step of the solution in which the branch changes has an error of 1e-5 of the saturation.
     effect = BoucWenHysteresis(1.5, 8.0, unloading, exponent)
@@ -78,7 +78,7 @@ def test_a_curve_beside_it_adds_to_the_voltage_and_leaves_the_hysteresis_as_it_i
 
 
 @pytest.mark.parametrize(("unloading", "exponent", "within_v"), [
-    (0.0, 1.0, 2e-5), (1.0, 1.0, 2e-6), (0.4, 2.0, 1e-7), (3.0, 0.7, 1e-4)])
+    (0.0, 1.0, 2e-5), (1.0, 1.0, 2e-6), (0.4, 2.0, 1e-6), (3.0, 0.7, 1e-4)])
 def test_it_grows_and_decays_by_other_amounts_at_each_voltage(unloading, exponent, within_v):
     effect = CurvedBoucWenHysteresis(
         1.5, 8.0, unloading, exponent, growth_slope_per_v=0.03, growth_curvature_per_v2=-0.004,
