@@ -285,8 +285,7 @@ class _Search:
         the time is over. Loops that are explained do not exclude it: a density may have followed
         them while creep and dynamics did not.
         """
-        shows_loops = not self.given.model.hysteresis.is_line or any(
-            experiment_of(name) == "hysteresis" for name in self.read_late_s)
+        shows_loops = any(experiment_of(name) == "hysteresis" for name in self.read_late_s)
         if not shows_loops or is_at_noise(state.problem, state.best, SETTINGS.wrong):
             return state
         with while_time_lasts(BOUC_WEN):
