@@ -49,7 +49,7 @@ between later effects. A fit varies one effect at a time and needs the last few 
 may run in parallel."""
 
 KEPT_INPUTS = 3
-"""Number of cached inputs of the linear part with effects on the voltage."""
+"""Number of cached inputs of the linear part, and of the last of several effects on the voltage."""
 
 KEPT = 32
 """Number of cached linear parts; a fit uses the same few for all its recordings."""
@@ -337,6 +337,7 @@ class SimulatedRecording:
         for name in ("_hysteresis_and_rest_um", "input_um"):
             vars(self).pop(name, None)
         self._inputs: dict[tuple, FloatArray] = {}
+        self._ahead_v: dict[tuple, FloatArray] = {}
 
     def _forget_linear(self) -> None:
         """Clear the cached outputs of the linear part."""
@@ -397,28 +398,41 @@ class SimulatedRecording:
     def _amplified(self, effects: Sequence[Effect]) -> FloatArray:
         """Return the voltage after the model's and then further effects, in parts of all rows.
 
-        A model with all these effects applies them in the same order.
+        A model with all these effects applies them in the same order. The input of the last one is
+        cached.
         """
         applied = (*self.model.effects, *effects)
+        on_voltage = tuple(effect for effect in applied if effect.place == "voltage")
         voltage_v, parts = _in_parts(
-            self._joined, [effect for effect in applied if effect.place == "voltage"],
-            self.sample_period_s, self.samples_per_mean)
-        period_s = self.sample_period_s / parts
-        for effect in applied:
-            if effect.place == "voltage":
+            self._joined, on_voltage, self.sample_period_s, self.samples_per_mean)
+        # Of the effects behind them, these matter to what precedes the last one.
+        others = (parts, any(isinstance(effect, BandLimitedVoltage) for effect in on_voltage),
+                  overshooting(applied))
+        for number, effect in enumerate(on_voltage):
+            ahead = on_voltage[: number + 1]
+            known_v = self._ahead_v.get((ahead, others))
+            if known_v is None:
                 past = effect.memory_after(self.past_v) if self.past_v else None
-                voltage_v = advance_with_overshoot(effect, voltage_v, period_s, past, applied)[0]
+                known_v, _ = advance_with_overshoot(
+                    effect, voltage_v, self.sample_period_s / parts, past, applied)
+                if len(ahead) < len(on_voltage):
+                    for old in list(self._ahead_v)[: 1 - KEPT_INPUTS]:
+                        self._ahead_v.pop(old, None)  # a parallel fit may have removed it
+                    self._ahead_v[ahead, others] = known_v
+            voltage_v = known_v
         return voltage_v
 
     def _cycled_um(self, hysteresis: PreisachModel, amplified_v: FloatArray,
                    effects: Sequence[Effect] = ()) -> FloatArray:
         """Return the output of the hysteresis without a first rise, for the whole recording."""
-        memory = hysteresis.memory()
-        hysteresis.simulate(self.past_v, memory)
-        within_v, count = with_overshoot(
-            amplified_v, amplified_v[0], (*self.model.effects, *effects))
-        output_um = hysteresis.simulate(within_v, memory)[count - 1 :: count]
-        output_um += hysteresis.line_beyond_um(amplified_v)
+        if hysteresis.is_line:
+            output_um = hysteresis.line_um(amplified_v)
+        else:
+            memory = hysteresis.memory()
+            hysteresis.simulate(self.past_v, memory)
+            within_v, count = with_overshoot(
+                amplified_v, amplified_v[0], (*self.model.effects, *effects))
+            output_um = hysteresis.simulate(within_v, memory)[count - 1 :: count]
         if effects or self.model.effects_at("voltage"):
             return output_um  # `_in_parts` has moved the edges of the voltage
         return self._joined.with_early_edges(output_um, is_smooth=True)

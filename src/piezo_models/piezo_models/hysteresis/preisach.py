@@ -253,6 +253,18 @@ class PreisachModel:
         return np.asarray(low_um_per_v * np.minimum(voltage_v - self.voltage_min_v, 0.0)
                           + high_um_per_v * np.maximum(voltage_v - self.voltage_max_v, 0.0))
 
+    def line_um(self, voltage_v: FloatArray) -> FloatArray:
+        """Return the output of a line or curve in um, (N,), continued beyond its range.
+
+        It equals that of `simulate` and `line_beyond_um`, without a memory.
+        """
+        slopes_um_per_v = self.reversible_um_per_v
+        if np.ptp(slopes_um_per_v) == 0.0:
+            return self.offset_um + slopes_um_per_v[0] * (voltage_v - self.voltage_min_v)
+        at_levels_um = self.offset_um + self.cell_width_v * np.cumsum([0.0, *slopes_um_per_v])
+        within_um = np.interp(voltage_v, self.levels_v, at_levels_um)
+        return np.asarray(within_um + self.line_beyond_um(voltage_v))
+
     def invert(self, hysteresis_um: ArrayLike,
                memory: PreisachMemory | None = None) -> FloatArray:
         """Return the voltages in V, (N,), whose hysteresis output is given: the exact inverse.

@@ -114,6 +114,16 @@ def test_a_line_goes_on_beyond_the_range_and_a_hysteresis_saturates(uneven_model
     assert not uneven_model.line_beyond_um(np.array([-1e3, 1e3])).any()
 
 
+@pytest.mark.parametrize("slopes_um_per_v", [[3.0], [3.0, 3.0], [1.0, 0.0, 4.0]])
+def test_a_line_or_curve_needs_no_memory(slopes_um_per_v):
+    size = len(slopes_um_per_v)
+    curve = PreisachModel(-1.0, 2.0, np.zeros((size, size)), 0.5, np.array(slopes_um_per_v))
+    voltage_v = np.random.default_rng(6).uniform(-4.0, 5.0, 200)
+    np.testing.assert_allclose(
+        curve.line_um(voltage_v), curve.simulate(voltage_v) + curve.line_beyond_um(voltage_v),
+        atol=1e-12)
+
+
 def test_voltages_beyond_the_range_saturate_the_relays(uneven_model):
     low, high = uneven_model.output_range_um
     assert uneven_model.simulate([500.0, -500.0, 120.0, -20.0]).tolist() == [high, low, high, low]
