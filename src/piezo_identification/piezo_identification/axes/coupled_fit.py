@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import pinvh
 
 from piezo_common.arrays import ComplexArray, FloatArray
 from piezo_common.budget import is_time_up
@@ -292,7 +293,7 @@ def _inverse(square: FloatArray, damping: float) -> FloatArray:
     """Return the inverse of a matrix of normal equations, scaled so that it has ones."""
     scale = np.sqrt(np.maximum(np.diag(square), LEAST_INFORMATION * np.diag(square).max()))
     scaled = square / np.outer(scale, scale) + damping * np.eye(scale.size)
-    inverse: FloatArray = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True) / np.outer(
+    inverse: FloatArray = pinvh(scaled, rtol=1e-13) / np.outer(
         scale, scale)
     return inverse
 

@@ -2,6 +2,7 @@
 """Remove the creep from a measured signal before faster components are estimated."""
 
 import numpy as np
+from scipy.linalg import eigh
 from scipy.signal import lfilter, lfilter_zi
 
 from piezo_common.arrays import FloatArray
@@ -68,5 +69,5 @@ def inverse_of_creep(
     gone = -np.expm1(-rates * sample_period_s)
     at_once = float(1.0 + gains @ (1.0 - unanswered))
     coupling = np.sqrt(gains * unanswered * gone)
-    forgotten, turned = np.linalg.eigh(np.diag(gone) + np.outer(coupling, coupling) / at_once)
+    forgotten, turned = eigh(np.diag(gone) + np.outer(coupling, coupling) / at_once)
     return at_once, forgotten, (coupling @ turned) ** 2 / at_once

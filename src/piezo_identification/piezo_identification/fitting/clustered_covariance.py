@@ -3,6 +3,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import pinvh
 
 from piezo_common.arrays import FloatArray
 
@@ -25,7 +26,8 @@ def clustered_covariance(jacobian: FloatArray, residual: FloatArray,
     widths = np.linalg.norm(jacobian, axis=0)
     widths[widths == 0.0] = 1.0
     scaled, rows = jacobian / widths, cluster.size
-    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True) / widths[:, None]
+    # The divide and conquer of numpy fails for some matrices that are not singular.
+    inverse = pinvh(scaled.T @ scaled) / widths[:, None]
     pushes = scaled[:rows] * residual[:rows, None] @ inverse.T
     short, long = (_of_clusters(pushes, number) for number in (cluster, cluster // MANY))
     return widened(short, np.diag(long))

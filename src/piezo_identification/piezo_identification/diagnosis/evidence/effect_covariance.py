@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import orth
+from scipy.linalg import orth, pinvh
 from scipy.stats import norm
 
 from piezo_common.arrays import FloatArray
@@ -49,7 +49,7 @@ def with_model_errors(regression: Regression, fit: Fit) -> Fit:
     scales = np.linalg.norm(slopes, axis=0)
     scales[scales == 0.0] = 1.0
     scaled = slopes / scales
-    inverse = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    inverse = pinvh(scaled.T @ scaled)
     errors = np.column_stack([
         regression.remainder(error_um / regression.tolerance_um)
         for error_um in drawn_errors_um(regression.dataset)])

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, qr
+from scipy.linalg import block_diag, eigh, qr
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 
@@ -291,7 +291,7 @@ class _Problem:
         self.rows = count - round(float(np.sum(bins**2)))
         # Where the penalties leave the share s, 1 - s is explained. In the bins, a direction is as
         # long as the root of 1 - s^2, by which it need not be divided: that may be near zero.
-        _, mixed = np.linalg.eigh(penalties.T @ penalties)
+        _, mixed = eigh(penalties.T @ penalties)
         shares = np.linalg.norm(penalties @ mixed, axis=0)
         self._span = bins @ (mixed / np.sqrt(1.0 + shares))
 

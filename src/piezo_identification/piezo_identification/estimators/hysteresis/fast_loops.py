@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, rfft
+from scipy.linalg import pinvh
 from scipy.sparse import csr_array
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -121,7 +122,7 @@ class LoopRegression:
         size = self._bending.shape[0]
         quadratic[:size, :size] += self._bending
         scale = np.sqrt(np.maximum(np.diag(quadratic), np.finfo(float).tiny))
-        inverse = np.linalg.pinv(quadratic / np.outer(scale, scale), ROUNDING, hermitian=True)
+        inverse = pinvh(quadratic / np.outer(scale, scale), rtol=ROUNDING)
         inverse /= np.outer(scale, scale)
         unknowns = inverse @ linear
         bent = unknowns[:size] @ (self._bending @ unknowns[:size])
