@@ -75,15 +75,20 @@ def measure_devices(options):
         of_set, findings = each.measure(data, output)
         figures += of_set
         found += findings
-    rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
-    (output / "table.json").write_text(json.dumps(
-        {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")
+        _write_table(output / "table.json", figures, found)
     print()
     print(text_table([HEAD, *map(_cells, figures)]))
     print()
     for finding in found:
         print(finding.text())
     print(f"\ntable and pictures in {output}")
+
+
+def _write_table(path, figures, found):
+    """Write the errors and findings so far: later sets take minutes, and may fail."""
+    rows = [asdict(figure) | {"reached": figure.is_reached} for figure in figures]
+    path.write_text(json.dumps(
+        {"rows": rows, "findings": [asdict(finding) for finding in found]}, indent=1) + "\n")
 
 
 def _scanner(data, output):
