@@ -78,8 +78,10 @@ def starting_past_v(model: StageModel, recording: Recording) -> PastVoltages:
     samples = _samples_with_past(part.voltage_v)
     start = part if samples >= part.time_s.size else after_saturation(
         model, _start_of(recording, samples))
-    closest = min((part.after(past_v) for past_v in (
-        _closest_past_v(start), _closest_demagnetised_v(start))), key=SimulatedRecording.error_um)
+    pasts_v: list[PastVoltages] = [_closest_past_v(start)]
+    if not model.hysteresis.is_line:
+        pasts_v.append(_closest_demagnetised_v(start))
+    closest = min(map(part.after, pasts_v), key=SimulatedRecording.error_um)
     explains_more = closest.error_um() < SETTINGS.largest_error_ratio * part.error_um()
     return closest.past_v if explains_more else ()
 
@@ -172,13 +174,19 @@ def _closest_demagnetised_v(part: SimulatedRecording) -> PastVoltages:
 
 
 def _closest_past_v(part: SimulatedRecording) -> tuple[float, float]:
-    """Find the highest and then the lowest earlier voltage with the smallest error."""
+    """Find the highest and then the lowest earlier voltage with the smallest error.
+
+    A hysteresis by an equation of first order remembers one number, so that the highest voltage is
+    that of the range.
+    """
     hysteresis, first_v = part.model.hysteresis, part.earlier_v[0]
-    bounds_v = np.array([[first_v, max(first_v, hysteresis.voltage_max_v)],
+    highest_v = max(first_v, hysteresis.voltage_max_v)
+    bounds_v = np.array([[highest_v if hysteresis.is_line else first_v, highest_v],
                          [min(first_v, hysteresis.voltage_min_v), first_v]])
     for _ in range(SETTINGS.rounds):
-        candidates = list(product(
-            *(np.linspace(low_v, high_v, SETTINGS.grid_points) for low_v, high_v in bounds_v)))
+        candidates = list(product(*(
+            np.unique(np.linspace(low_v, high_v, SETTINGS.grid_points))
+            for low_v, high_v in bounds_v)))
         best_v = min(candidates, key=lambda past_v: part.after(past_v).error_um())
         spacing_v = np.diff(bounds_v).ravel() / (SETTINGS.grid_points - 1)
         around_v = np.array(best_v)[:, None] + np.outer(spacing_v, [-1.0, 1.0])
