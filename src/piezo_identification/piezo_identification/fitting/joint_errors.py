@@ -14,7 +14,7 @@ is concave: a sum of squares with the weights n / (m_r + l_r^2) at some m_r has 
 and a step reduces it by no more than the function itself.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -47,6 +47,9 @@ LONGEST_STEP = 5.0
 
 DERIVATIVE_STEP = 1e-7
 """Step of the numerical derivative by a parameter of an effect; relative for values above one."""
+
+OfEffects = Mapping[tuple[int, Effect, int], FloatArray]
+"""Derivatives by the parameters of effects, (n,), by recording, effect, and number of parameter."""
 
 KEPT = 256
 """Number of cached effects: those of the points of a few fits and of the steps from them."""
@@ -166,6 +169,9 @@ class JointErrors:
     of_pieces_um : dict of int to (n, pieces) array, optional
         Change of the displacement with each piece, by recording. Entries present are reused from a
         similar model; missing ones are computed and added.
+    of_effects_um : dict, optional
+        Results of `of_effects_um` of a similar fit. A parameter of an effect that still has the
+        same values takes its derivative from there, until the errors are forgotten.
     columns : (r, n) array, optional
         Derivatives of the displacement by the unknowns, in um, used at all points; by default they
         are computed.
@@ -186,9 +192,11 @@ class JointErrors:
                  columns: FloatArray | None = None,
                  hysteresis_width: float = 1.0, physical_width: float = 1.0,
                  of_pieces_um: dict[int, FloatArray] | None = None,
+                 of_effects_um: OfEffects | None = None,
                  responses: Sequence[MeasuredResponse] = (),
                  are_all_fitted: bool = False) -> None:
         self._of_pieces_um, self._responses = of_pieces_um, tuple(responses)
+        self._of_effects_um = of_effects_um or {}
         self._at_frequencies = [each.for_estimation | are_all_fitted for each in responses]
         self.dataset, self.new_count, self.later = dataset, new_count, later
         self.count = dataset.regressors.shape[1] - dataset.nuisance_count
@@ -247,6 +255,12 @@ class JointErrors:
         """Return the last derivatives by the effect parameters, in um, (r, p); None before any."""
         columns = [each[:, self.count :] for each in self._columns[1]]
         return np.vstack(columns) if columns else None
+
+    def of_effects_um(self, vector: FloatArray) -> OfEffects:
+        """Return the derivatives of the displacement by the parameters of the effects, in um."""
+        columns = self._columns_at(vector)
+        return {(index, *self._parameter_at(vector, number)): columns[index][:, number]
+                for number in range(self.count, vector.size) for index in range(len(columns))}
 
     def recurrence_count(self, vector: FloatArray) -> int:
         """Return how many parameters of recurring effects are projected out."""
@@ -317,7 +331,7 @@ class JointErrors:
 
         A search keeps every fit that it has tried. The simulations are recomputed when needed.
         """
-        self._points, self._columns = {}, (b"", [])
+        self._points, self._columns, self._of_effects_um = {}, (b"", []), {}
         self.dataset = simulated_by(
             self.dataset, self.dataset.model, self.new_count, self.later)
 
@@ -439,6 +453,9 @@ class JointErrors:
     def _of_effects(self, point: _Point, index: int, number: int, vector: FloatArray,
                     unmoved_um: FloatArray) -> FloatArray:
         """Return the derivative by one parameter of the effects, numerically."""
+        known = self._of_effects_um.get((index, *self._parameter_at(vector, number)))
+        if known is not None:
+            return known
         part, rows = point.dataset.simulated[index], point.dataset.rows[index]
         moved, step = self._moved(vector, number)
         effects = self.effects_at(moved)
@@ -447,6 +464,11 @@ class JointErrors:
         if nuisance.shape[1] > self._own_count[index]:
             moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
         return moved_um / step
+
+    def _parameter_at(self, vector: FloatArray, number: int) -> tuple[Effect, int]:
+        """Return the effect that an unknown belongs to, and which of its parameters it is."""
+        place = int(np.searchsorted(self._ends, number, side="right")) - 1
+        return self.effects_at(vector)[place], int(number - self._ends[place])
 
     def _moved_with_rates(self, point: _Point, index: int) -> FloatArray:
         """Return the part of the derivatives by which decay coefficients follow decay rates.

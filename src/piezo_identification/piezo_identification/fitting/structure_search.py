@@ -13,6 +13,7 @@ from piezo_common.arrays import FloatArray
 from piezo_common.budget import while_time_lasts
 from piezo_common.cancellation import check_cancelled
 from piezo_common.side_by_side import side_by_side
+from piezo_identification.fitting.least_damped_modes import with_least_damped_modes
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeFit, WholeModel
 from piezo_models.cascade import StageModel
 from piezo_models.effects import Effect
@@ -44,7 +45,8 @@ class SearchSettings:
     rounds: int = 10
     """Largest number of changes of the structure."""
     promise: float = 100.0
-    """Largest deficit of log-evidence with which a structure is followed or tried again."""
+    """Largest deficit of log-evidence with which a structure is followed, or tried again after a
+    change that gained as much."""
     promise_of_start: float = 1000.0
     """Largest deficit with which a start with another kind of amplifier or with a line is
     followed, before and after the search from the best start: its own search may add as much."""
@@ -62,7 +64,7 @@ class SearchSettings:
     worthwhile: float = 0.01
     """Smallest gain of log-evidence for each independent error with which a search goes on if a
     residual is not noise. It reduces the RMS residual by a hundredth."""
-    worthwhile_near_noise: float = 0.002
+    worthwhile_near_noise: float = 0.005
     """The same if each residual is nearly noise."""
     modes_less: int = 2
     """Number of modes per round, the least important ones, that are removed on trial."""
@@ -229,8 +231,8 @@ def fitted_with_bouc_wen(
     its growth depends on the voltage, and a curve is beside it. If it is promising, the pasts of
     the recordings are sought with the fitted equation until that is no longer worthwhile. Modes
     that stand for errors of the loops would hide their shape, so a start with the loudest mode
-    alone follows. Last come the plain forms, in front of a line and of a curve; with `is_plain`,
-    the result is one of these.
+    alone follows. If that leaves more than little above the noise, the plain forms come last, in
+    front of a line and of a curve; with `is_plain`, the result is one of these.
 
     `best` is a fit of the given problem. Return the problem of the best fit with the equation, that
     fit, even if the given one is better, and all fits in the order they were made.
@@ -264,6 +266,8 @@ def fitted_with_bouc_wen(
                                SETTINGS.promise_before_pasts))
     leader = best_of([fit for _, fit in fits])
     where = next(where for where, fit in fits if fit is leader)
+    if not is_plain and is_at_noise(where, leader, SETTINGS.wrong):
+        return where, leader, tried  # The search tries the plain form in its place.
     start = _with_plain_bouc_wen(leader.model)
     rival, promise = (best, SETTINGS.promise_before_pasts) if is_plain else (
         leader, SETTINGS.promise)
@@ -368,8 +372,6 @@ def searched(problem: WholeModel, best: WholeFit,
                 followed.append((change, fit))
             screened[: SETTINGS.followed] = followed
             tried += screened
-            refuted |= {change for change, fit in screened
-                        if fit.evidence_over(best) < -SETTINGS.promise}
             better = _better(problem, followed, best)
             if not better:
                 break
@@ -377,6 +379,9 @@ def searched(problem: WholeModel, best: WholeFit,
             is_simpler = all(
                 fit.numbers < best.numbers for fit in _better(problem, screened, best))
             before, best = best, max(better, key=lambda fit: fit.evidence_over(best))
+            # What lost more than this change gains is not made up for by it.
+            gain = min(best.evidence_over(before), SETTINGS.promise)
+            refuted |= {change for change, fit in screened if fit.evidence_over(before) < -gain}
             if is_pointless(problem, before, best):
                 break
         problem.about_here()
@@ -405,6 +410,7 @@ def _screen(problem: WholeModel, best: WholeFit, listed: Sequence[Structure],
     def reported(number: int) -> None:
         report(listed[number].change, number / len(listed))
 
+    problem.about(best)
     # The first fit computes what the others share.
     side_by_side(fit, listed[:1], reported)
     side_by_side(fit, listed[1:], lambda number: reported(number + 1))
@@ -709,7 +715,7 @@ def _highest_rad_per_s(sample_period_s: float) -> float:
 def structures(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     """Yield the structures that differ from a fitted one by one part."""
     yield from _with_less(fit)
-    for structure in _elsewhere(fit):
+    for structure in _elsewhere(problem, fit):
         yield replace(structure, is_far=True)
     yield from _with_more(problem, fit)
 
@@ -800,7 +806,7 @@ def _without_cancelled_mode(model: StageModel, delay_s: float | None) -> Structu
             _but(dynamics.antiresonance_damping_ratios, int(zero)))), delay_s)
 
 
-def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
+def _elsewhere(problem: WholeModel, fit: WholeFit) -> Iterator[Structure]:
     """Yield models with a lag at another place, and with other modes in parallel or loops."""
     model, delay_s = fit.model, fit.delay_s
     behind_s = model.dynamics.time_constant_s
@@ -827,6 +833,11 @@ def _elsewhere(fit: WholeFit) -> Iterator[Structure]:
     if len(merged) < len(modes):
         yield Structure("its overlapping modes as one",
                         replace(model, effects=(*merged, *others)), delay_s)
+    # Separate steps may describe a delay by several damped modes, each of which is then needed.
+    alone = with_least_damped_modes(
+        model, delay_s or 0.0, _highest_rad_per_s(problem.sample_period_s))
+    if alone is not None:
+        yield Structure("its least damped modes alone, behind a delay", *alone)
     late_s = _lag_of_coupled_modes(modes)
     if late_s > 0.0:
         yield Structure("its modes in phase, behind a delay", replace(model, effects=tuple(

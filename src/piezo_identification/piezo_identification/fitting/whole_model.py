@@ -24,7 +24,7 @@ from piezo_identification.fitting.free_parameters import (
     physical_count,
     physical_deviations,
 )
-from piezo_identification.fitting.joint_errors import JointErrors, simulated_by
+from piezo_identification.fitting.joint_errors import JointErrors, OfEffects, simulated_by
 from piezo_identification.fitting.joint_fit import SETTINGS as JOINT
 from piezo_identification.fitting.levenberg_marquardt import Descent, descend
 from piezo_identification.fitting.measured_response import MeasuredResponse
@@ -327,6 +327,14 @@ class WholeModel:
         Fits of similar models share this result.
         """
         self._of_pieces_um: dict[tuple[Effect, ...], dict[int, FloatArray]] = {}
+        self._of_effects_um: OfEffects = {}
+
+    def about(self, fit: WholeFit) -> None:
+        """Let the first steps of the next fits use the derivatives by the effects of a fit.
+
+        Models that differ from that of the fit in one part share the others.
+        """
+        self._of_effects_um = fit.errors.of_effects_um(fit.vector)
 
     def forget_pieces(self) -> None:
         """Drop the outputs of the pieces of the hysteresis, many times as large as the rows."""
@@ -360,7 +368,12 @@ class WholeModel:
         changes[: begun.size] = begun
         if density_changes is not None:
             changes[begun.size :] = density_changes
-        descent = descend(errors, errors.vector(changes, effects), steps, JOINT.worthwhile)
+        begin = errors.vector(changes, effects)
+        descent = descend(errors, begin, steps, JOINT.worthwhile)
+        if self._of_effects_um and steps and np.array_equal(descent.vector, begin):
+            # The shared derivatives may be too far off.
+            errors.forget()
+            descent = descend(errors, begin, steps, JOINT.worthwhile)
         found = errors.effects_at(descent.vector)
         fitted = changed_model(errors.dataset.model, descent.vector[: errors.count])
         delays_s = [effect.delay_s - shift_s for effect in found if type(effect) is Delay]
@@ -428,6 +441,7 @@ class WholeModel:
             pieces_um=self._pieces_um,
             hysteresis_width=self._hysteresis_width,
             of_pieces_um=self._of_pieces_um.setdefault(smooth, {}),
+            of_effects_um=self._of_effects_um,
             responses=self.responses, are_all_fitted=self._are_all_fitted)
         errors.accuracy_um = (
             FIT.adequate_tolerance / FIT.model_tolerance * errors.accuracy_um)
