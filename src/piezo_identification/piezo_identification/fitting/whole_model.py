@@ -124,6 +124,11 @@ class WholeFit:
         """Return the changes of the initial hysteresis, in widths."""
         return self.vector[physical_count(self.model) : self.errors.count]
 
+    @property
+    def pasts_v(self) -> list[PastVoltages]:
+        """Return the voltages before each recording."""
+        return [part.past_v for part in self.errors.dataset.simulated]
+
     def evidence_over(self, other: "WholeFit") -> float:
         """Return the log-evidence for this model minus that for another.
 

@@ -35,7 +35,7 @@ from piezo_identification.identification.given_data import (
 )
 from piezo_identification.identification.linear_dynamics import LinearDynamics, fitted_model
 from piezo_identification.simulation.past_search import after_saturation, simulated_recording
-from piezo_identification.simulation.simulated_recording import SimulatedRecording
+from piezo_identification.simulation.simulated_recording import PastVoltages, SimulatedRecording
 from piezo_models.cascade import StageModel
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_recorder.reading.recording import Recording
@@ -205,6 +205,7 @@ def _as_cycled(
 def new_loops(
     recordings: Mapping[str, Any], options: DensityOptions, model: StageModel,
     read_late_s: Mapping[str, float], straight: Collection[str] = (),
+    pasts_v: Mapping[str, PastVoltages] | None = None,
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
@@ -213,11 +214,12 @@ def new_loops(
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
     after the voltage; the voltages of those in `straight` are straight between their rows, not
-    held.
+    held. The pasts that are not given are those that the model fits best.
     """
+    pasts_v = pasts_v or {}
     given = with_straight_voltages(recordings, straight)
     simulated = [
-        simulated_recording(model, each, read_late_s=read_late_s[name])
+        simulated_recording(model, each, pasts_v.get(name), read_late_s[name])
         for kind in ("hysteresis", "dynamics")
         for name, each in zip(keys_of_kind(recordings, kind), of_kind(given, kind), strict=True)
         if isinstance(each, Recording)]

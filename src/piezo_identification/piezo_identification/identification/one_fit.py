@@ -39,6 +39,7 @@ from piezo_identification.identification.linear_dynamics import FittedModel
 from piezo_identification.identification.notes import Detail
 from piezo_identification.simulation.generator_rows import with_generator_edges
 from piezo_identification.simulation.past_search import is_long_enough
+from piezo_identification.simulation.simulated_recording import PastVoltages
 from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -66,6 +67,10 @@ width after the search; a further time only if the last one added evidence."""
 SLOWER = 1.5
 """Sample period, relative to that of the fastest data, from which a voltage may be straight between
 the rows. Of the fastest data, modes and lags explain that as well; see `between_rows`."""
+
+NewLoops = Callable[
+    [StageModel, Mapping[str, float], Collection[str], Mapping[str, PastVoltages]], DensityEstimate]
+"""See `fitted_together`."""
 
 Tried = Sequence[tuple[str, WholeFit]]
 """What was changed, and the fit, in the order in which they were tried."""
@@ -97,8 +102,7 @@ class _Search:
 
     given: FittedModel
     read_late_s: Mapping[str, float]
-    new_loops: Callable[
-        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None
+    new_loops: NewLoops | None
     may_be_straight: Collection[str]
     """Recordings whose voltage may be straight between their rows."""
     is_asked_for: Callable[[StageModel], bool]
@@ -391,7 +395,8 @@ class _Search:
     def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],
                          straight: Collection[str]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight)
+        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight,
+                              dict(zip(self.names, fit.pasts_v, strict=True)))
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -423,8 +428,7 @@ def _best_of(states: Sequence[_State]) -> _State:
 
 def fitted_together(
     fitted: FittedModel, recordings: Mapping[str, Data], read_at: Mapping[str, float],
-    new_loops: Callable[
-        [StageModel, Mapping[str, float], Collection[str]], DensityEstimate] | None,
+    new_loops: NewLoops | None,
     order: ResponseOrder,
     report: Callable[[str, float], object], note: Callable[[str], object],
 ) -> FittedTogether:
@@ -433,7 +437,8 @@ def fitted_together(
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
     `new_loops` estimates the hysteresis again with a fitted model, the time in s by which each
-    recording reads its rows late, and the recordings whose voltage is straight between their rows.
+    recording reads its rows late, the recordings whose voltage is straight between their rows, and
+    the voltages before them.
     It is None if no recording of loops was given.
     """
     samples = {name: data for name, data in recordings.items()

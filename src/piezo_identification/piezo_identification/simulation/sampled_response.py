@@ -17,6 +17,7 @@ from piezo_models.linear.connections import matrices_of
 from piezo_models.linear.dynamics import (
     answering_means,
     equilibrium_state,
+    response_at,
     simulate_linear,
     zoh,
 )
@@ -24,9 +25,6 @@ from piezo_models.linear.outputs_at import simulate_linear_at
 
 KEPT = 256
 """Number of cached sampled systems; a fit uses some dozens for all its recordings."""
-
-FREQUENCIES_AT_ONCE = 10_000
-"""Frequencies at which a response is computed together; each needs a matrix of the states."""
 
 
 def leading_lags(
@@ -86,13 +84,7 @@ class SampledSystem:
     def response_over(self, turn: FloatArray) -> ComplexArray:
         """Return the only output over the input at frequencies, in turns per input, (n,)."""
         z = np.exp(2j * np.pi * turn)
-        a, b, c, d = matrices_of(self._discrete)
-        found = np.empty(z.size, dtype=complex)
-        for begin in range(0, z.size, FREQUENCIES_AT_ONCE):
-            part = slice(begin, begin + FREQUENCIES_AT_ONCE)
-            states = np.linalg.solve(z[part, None, None] * np.eye(len(a)) - a, b[None])
-            found[part] = (c @ states)[:, 0, 0] + d[0, 0]
-        return found * z ** -float(self._late)
+        return response_at(self._discrete, z) * z ** -float(self._late)
 
     def response_at(self, input_um: FloatArray, at: NDArray[np.intp]) -> FloatArray:
         """Return all outputs at a few sorted samples, (n, outputs), which costs less."""

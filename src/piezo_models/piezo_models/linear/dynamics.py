@@ -15,6 +15,7 @@ import control
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
+from scipy.linalg import schur
 from scipy.signal import cont2discrete
 
 from piezo_common.arrays import ComplexArray, FloatArray
@@ -29,6 +30,9 @@ from piezo_models.linear.connections import (
 
 KEPT = 64
 """Number of cached modes."""
+
+AT_ONCE = 4096
+"""Number of frequencies whose states are computed together: it limits the memory."""
 
 Section = tuple[Any, Any, Any, Any]
 """Matrices A, B, C and D of a section of the cascade."""
@@ -280,15 +284,22 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
     _check_single(discrete)
     frequency = np.asarray(frequency_hz, dtype=float)
     z = np.exp(2j * np.pi * frequency.ravel() * sample_period_s)
-    response = np.full(z.size, discrete.D[0, 0], dtype=complex)
-    states = discrete.nstates
-    # Blocks limit the memory of the stacked matrices.
-    for start in range(0, z.size if states else 0, 4096):
-        block = slice(start, start + 4096)
-        resolvent = z[block, None, None] * np.eye(states) - discrete.A
-        right = np.broadcast_to(discrete.B, (resolvent.shape[0], states, 1))
-        response[block] += (discrete.C @ np.linalg.solve(resolvent, right))[:, 0, 0]
-    return response.reshape(frequency.shape)[()]
+    return response_at(discrete, z).reshape(frequency.shape)[()]
+
+
+def response_at(system: control.StateSpace, z: ComplexArray) -> ComplexArray:
+    """Return the transfer function of a system with one input and one output at some z, (n,)."""
+    triangle, turned = schur(system.A, output="complex")
+    entering, leaving = turned.conj().T @ system.B[:, 0], system.C[0] @ turned
+    response = np.full(z.size, system.D[0, 0], dtype=complex)
+    for start in range(0, z.size, AT_ONCE):
+        part = z[start : start + AT_ONCE]
+        states = np.empty((len(triangle), part.size), dtype=complex)
+        for row in reversed(range(len(triangle))):
+            behind = triangle[row, row + 1 :] @ states[row + 1 :]
+            states[row] = (entering[row] + behind) / (part - triangle[row, row])
+        response[start : start + AT_ONCE] += leaving @ states
+    return response
 
 
 def equilibrium_state(system: control.StateSpace, held_input: float = 1.0) -> FloatArray:
