@@ -18,5 +18,5 @@ COMMAND = Command(
     "measured", "Identify stages from measured data, and print the error on data that was not "
     "fitted next to the figures in the data's note.", _add_options,
     "piezo_studies.measured_devices.measured_work:measure_devices", inputs=("data",),
-    interrupted="table.json, if it is there, is of an earlier run")
+    interrupted="table.json, if it is new, has the sets before this one")
 main = COMMAND.main
