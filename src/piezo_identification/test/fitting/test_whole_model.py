@@ -25,6 +25,7 @@ from piezo_identification.fitting.structure_search import (
 )
 from piezo_identification.fitting.whole_model import WIDE_PRIOR, WholeModel
 from piezo_identification.prediction import unseen_errors
+from piezo_identification.simulation.simulated_recording import SimulatedRecording
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.bouc_wen_hysteresis import BoucWenHysteresis
 from piezo_models.effects.coupled_mode import CoupledMode
@@ -110,6 +111,39 @@ def test_the_standard_deviations_cover_the_errors_of_the_fast_dynamics(plant, co
 def test_nothing_that_was_tried_has_more_evidence_and_held_out_rows_that_agree(corrected):
     best, tried = corrected
     assert not any(is_better(fit, best) for _, fit in tried if fit is not best)
+
+
+@pytest.fixture
+def lagging(wrong, recordings):
+    """A problem, and a fit of it whose effects are not the best ones yet."""
+    problem = WholeModel(wrong, recordings, [0.0] * 3)
+    model = replace(wrong, effects=(AmplifierLag(LAG_S), VibrationMode(7000.0, 0.05, 0.1)))
+    return problem, problem.fit(model, None, 1)
+
+
+def test_a_fit_shares_the_derivatives_by_the_effects_with_similar_models(lagging, monkeypatch):
+    problem, fit = lagging
+    without = problem.again(fit, 1)
+    problem.about(fit)
+    computed = []
+    simulate = SimulatedRecording.simulate
+    monkeypatch.setattr(SimulatedRecording, "simulate", lambda part, *effects, **rows: (
+        computed.append(effects), simulate(part, *effects, **rows))[1])
+    again = problem.again(fit, 1)
+    # Each recording is simulated at both points, and with its linear part, but for no parameter.
+    assert len(computed) <= 4 * 3
+    np.testing.assert_allclose(again.vector, without.vector, rtol=1e-6, atol=1e-6)
+    other = replace(fit.model, effects=fit.model.effects[:1])
+    assert problem.fit(other, None, 1).evidence_over(problem.fit(other, None, 0)) > 0.0
+
+
+def test_shared_derivatives_that_are_wrong_cost_one_step_at_most(lagging):
+    problem, fit = lagging
+    without = problem.again(fit, 3)
+    derivatives = fit.errors.of_effects_um(fit.vector)
+    problem.about(SimpleNamespace(vector=fit.vector, errors=SimpleNamespace(
+        of_effects_um=lambda vector: {key: -1e3 * each for key, each in derivatives.items()})))
+    assert problem.again(fit, 4).evidence_over(without) > -10.0
 
 
 @pytest.mark.long
