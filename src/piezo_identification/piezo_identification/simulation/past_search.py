@@ -42,7 +42,7 @@ class PastSearchSettings:
     """Number of highest and of lowest voltages tried in each round."""
     rounds: int = 3
     """Number of grids, each around the best candidate of the one before. Three grids of six points
-    resolve a hundredth of the voltage range."""
+    resolve a hundredth of the voltage range, and six a thousandth."""
     largest_error_ratio: float = 0.9
     """Largest ratio of the errors with and without a past for which the past is accepted. Two more
     parameters always reduce the error a little."""
@@ -177,13 +177,13 @@ def _closest_past_v(part: SimulatedRecording) -> tuple[float, float]:
     """Find the highest and then the lowest earlier voltage with the smallest error.
 
     A hysteresis by an equation of first order remembers one number, so that the highest voltage is
-    that of the range.
+    that of the range, and twice as many grids cost less.
     """
     hysteresis, first_v = part.model.hysteresis, part.earlier_v[0]
     highest_v = max(first_v, hysteresis.voltage_max_v)
     bounds_v = np.array([[highest_v if hysteresis.is_line else first_v, highest_v],
                          [min(first_v, hysteresis.voltage_min_v), first_v]])
-    for _ in range(SETTINGS.rounds):
+    for _ in range(SETTINGS.rounds * (2 if hysteresis.is_line else 1)):
         candidates = list(product(*(
             np.unique(np.linspace(low_v, high_v, SETTINGS.grid_points))
             for low_v, high_v in bounds_v)))

@@ -11,8 +11,10 @@ from piezo_identification.experiments import catalogue as experiments
 from piezo_identification.simulation import past_search
 from piezo_identification.simulation.past_search import simulated_recording
 from piezo_identification.simulation.simulated_recording import KEPT_OUTPUTS
+from piezo_models.cascade import StageModel
 from piezo_models.effects.amplifier_lag import AmplifierLag
 from piezo_models.effects.backlash import Backlash
+from piezo_models.effects.curved_bouc_wen_hysteresis import CurvedBoucWenHysteresis
 from piezo_models.effects.effect import parameter
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.sensor_nonlinearity import SensorNonlinearity
@@ -20,6 +22,8 @@ from piezo_models.effects.vibration_mode import VibrationMode
 from piezo_models.effects.voltage_clipping import VoltageClipping
 from piezo_models.hysteresis.first_rise import FirstRise
 from piezo_models.hysteresis.preisach import PreisachModel
+from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder import recording_of
 
 
 @dataclass(frozen=True)
@@ -158,3 +162,18 @@ def test_how_far_a_stage_had_risen_is_not_sought_for_every_model(plant, play, mo
     monkeypatch.setattr(past_search, "starting_past_v", None)
     same = recording.with_model(replace(rising, hysteresis=replace(rising.hysteresis)))
     np.testing.assert_array_equal(same.simulate(), recording.simulate())
+
+
+@pytest.mark.parametrize("past_v", [(95.0, 20.0), (70.0, 5.0), (60.0, 40.0), (55.0, 50.0, 52.0)])
+def test_the_past_of_a_hysteresis_that_remembers_one_number_is_found(past_v):
+    loops = CurvedBoucWenHysteresis(
+        10.0, 20.0, growth_slope_per_v=2e-3, growth_curvature_per_v2=-1e-4, middle_v=50.0)
+    model = StageModel(PreisachModel.line(0.0, 100.0, 0.2), CreepDynamics(),
+                       ElectricVibrationDynamics(), effects=(loops,))
+    time_s = 0.01 * np.arange(2000)
+    voltage_v = 50.0 + 8.0 * np.sin(time_s)
+    entering_v, _ = loops.advance(voltage_v, 0.01, loops.memory_after(past_v))
+    recording = recording_of({"time_s": time_s, "voltage_v": voltage_v,
+                              "displacement_um": 0.2 * entering_v})
+    after = simulated_recording(model, recording)
+    assert after.error_um() < 0.02 * past_search.after_saturation(model, recording).error_um()
