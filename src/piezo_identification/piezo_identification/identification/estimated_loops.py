@@ -205,7 +205,7 @@ def _as_cycled(
 def new_loops(
     recordings: Mapping[str, Any], options: DensityOptions, model: StageModel,
     read_late_s: Mapping[str, float], straight: Collection[str] = (),
-    pasts_v: Mapping[str, PastVoltages] | None = None,
+    pasts_v: Mapping[str, PastVoltages] | None = None, is_of_plays: bool = False,
 ) -> DensityEstimate:
     """Estimate the hysteresis again from the residuals of a fitted model.
 
@@ -214,7 +214,8 @@ def new_loops(
 
     The recordings have their rows as given, not aligned, and each reads its rows `read_late_s`
     after the voltage; the voltages of those in `straight` are straight between their rows, not
-    held. The pasts that are not given are those that the model fits best.
+    held. The pasts that are not given are those that the model fits best. `is_of_plays` tells
+    whether the last estimate was a density about a sum of plays.
     """
     pasts_v = pasts_v or {}
     given = with_straight_voltages(recordings, straight)
@@ -224,7 +225,7 @@ def new_loops(
         for name, each in zip(keys_of_kind(recordings, kind), of_kind(given, kind), strict=True)
         if isinstance(each, Recording)]
     return density_of_parts([each.part for each in simulated], _weighed(
-        list(map(_loops_again, simulated))), **options.keywords())
+        list(map(_loops_again, simulated))), is_of_plays=is_of_plays, **options.keywords())
 
 
 def _weighed(segments: Sequence[tuple[HysteresisSegment, float]]) -> list[HysteresisSegment]:

@@ -69,7 +69,8 @@ SLOWER = 1.5
 the rows. Of the fastest data, modes and lags explain that as well; see `between_rows`."""
 
 NewLoops = Callable[
-    [StageModel, Mapping[str, float], Collection[str], Mapping[str, PastVoltages]], DensityEstimate]
+    [StageModel, Mapping[str, float], Collection[str], Mapping[str, PastVoltages], bool],
+    DensityEstimate]
 """See `fitted_together`."""
 
 Tried = Sequence[tuple[str, WholeFit]]
@@ -108,18 +109,17 @@ class _Search:
     is_asked_for: Callable[[StageModel], bool]
     report: Callable[[str, float], object]
     tried: list[tuple[str, WholeFit]] = field(default_factory=list)
+    estimates: list[DensityEstimate] = field(default_factory=list)
 
     def best(self, delay_s: float | None, rival: WholeFit | None = None) -> _State:
         """Return the best model that the search finds from the promising starts.
 
         If all starts are far behind a rival, it is the best of them.
         """
-        renewed = list[DensityEstimate]()
-
         def with_new_loops(fit: WholeFit) -> WholeModel:
-            renewed.append(self._newly_estimated(fit, self.read_late_s, ()))
+            density = self._newly_estimated(fit, self.read_late_s, ())
             return self.problem.with_hysteresis(
-                replace(fit.delayed_model, hysteresis=renewed[-1].model()), WIDE_PRIOR)
+                replace(fit.delayed_model, hysteresis=density.model()), WIDE_PRIOR)
 
         found, tried = begun(
             self.problem, self.given.model, delay_s, self._part(0.0, BEGUN), self.is_asked_for,
@@ -127,7 +127,7 @@ class _Search:
         self.tried.extend(tried)
         states = [_State(
             self.given if problem is self.problem else replace(
-                self.given, visited=renewed[-1].visited),
+                self.given, visited=self.estimates[-1].visited),
             fit, problem, self.read_late_s) for problem, fit in found]
         if rival is not None and not is_promising(_best_of(states).best, rival):
             return _best_of(states)
@@ -395,8 +395,11 @@ class _Search:
     def _newly_estimated(self, fit: WholeFit, read_late_s: Mapping[str, float],
                          straight: Collection[str]) -> DensityEstimate:
         assert self.new_loops is not None
-        return self.new_loops(fit.delayed_model, read_later(read_late_s, fit), straight,
-                              dict(zip(self.names, fit.pasts_v, strict=True)))
+        are_plays = bool(self.estimates) and self.estimates[-1].plays is not None
+        self.estimates.append(self.new_loops(
+            fit.delayed_model, read_later(read_late_s, fit), straight,
+            dict(zip(self.names, fit.pasts_v, strict=True)), are_plays))
+        return self.estimates[-1]
 
     def _part(self, begin: float, length: float) -> Callable[[str, float], object]:
         return lambda what, fraction: self.report(what, begin + length * fraction)
@@ -437,8 +440,8 @@ def fitted_together(
     The conditioned recordings have their rows as given; all except the validation are fitted.
     `read_at` holds the instants at which their rows are read, in sample periods after the voltage.
     `new_loops` estimates the hysteresis again with a fitted model, the time in s by which each
-    recording reads its rows late, the recordings whose voltage is straight between their rows, and
-    the voltages before them.
+    recording reads its rows late, the recordings whose voltage is straight between their rows, the
+    voltages before them, and whether the last estimate was of plays.
     It is None if no recording of loops was given.
     """
     samples = {name: data for name, data in recordings.items()

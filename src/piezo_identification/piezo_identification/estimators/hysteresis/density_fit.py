@@ -117,12 +117,12 @@ def density_of_parts(
     parts: Sequence[Recording], segments: Sequence[HysteresisSegment],
     level_count: int | None = None, cells_per_level: int = 2,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    most_levels: int = LEVELS, most_rows: int = MOST_ROWS,
+    most_levels: int = LEVELS, most_rows: int = MOST_ROWS, is_of_plays: bool = False,
 ) -> DensityEstimate:
     """Estimate the density from inputs and outputs of the hysteresis in parts of recordings.
 
-    The options are those of `estimate_density`. Raise ValueError if the voltage does not change or
-    never returns.
+    The options are those of `estimate_density` and of `density_of_segments`. Raise ValueError if
+    the voltage does not change or never returns.
     """
     segments = _thinned(segments, most_rows)
     lowest_v, highest_v = voltage_range_v(parts)
@@ -132,7 +132,7 @@ def density_of_parts(
         level_count = max(min(passed, most_levels), FEWEST_LEVELS)
     edges_v = np.linspace(lowest_v, highest_v, level_count * cells_per_level + 1)
     return density_of_segments(
-        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line)
+        segments, edges_v, level_count, smoothing_weight, translation_weight, is_line, is_of_plays)
 
 
 def _thinned(segments: Sequence[HysteresisSegment], most_rows: int) -> list[HysteresisSegment]:

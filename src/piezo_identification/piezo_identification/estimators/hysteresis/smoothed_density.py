@@ -87,7 +87,7 @@ def smoothed_density(
 def density_of_segments(
     segments: Sequence[HysteresisSegment], levels_v: FloatArray, level_count: int | None = None,
     smoothing_weight: float | None = None, translation_weight: float = 0.0,
-    is_line: bool = False,
+    is_line: bool = False, is_of_plays: bool = False,
 ) -> DensityEstimate:
     """Density that is non-negative and as smooth as the data allow.
 
@@ -116,6 +116,8 @@ def density_of_segments(
         elsewhere, where the curvature alone would extrapolate linearly.
     is_line : bool
         True if the voltage shows only a line.
+    is_of_plays : bool
+        True if an earlier estimate was a density about a sum of plays.
 
     Returns
     -------
@@ -138,7 +140,8 @@ def density_of_segments(
     if is_line:
         penalties = Penalties(0.0)
     elif smoothing_weight is None:
-        choice, plays, segments, parts = _choice_for(segments, levels_v, translation_weight)
+        choice, plays, segments, parts = _choice_for(
+            segments, levels_v, translation_weight, is_of_plays)
         is_fine = plays is None and (whole_plane or _many(segments, size))
         if size % 2 == 0 and size >= 2 * CELLS_FOR_THE_WEIGHT and not (
                 is_fine and has_time_for("a density of more cells", WEIGHTS)):
@@ -213,32 +216,51 @@ def _added(more: FloatArray, of_plays: FloatArray, mean_in_cell: FloatArray) -> 
     return of_plays * (1.0 + np.clip(part, -1.0, 0.0)) + np.maximum(more, 0.0)
 
 
-def _choice_for(
-    segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float,
-) -> tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]:
+_Choice = tuple[PenaltyChoice, PlaySum | None, Sequence[HysteresisSegment], int]
+"""Weights, plays, segments without the output of these, and the divisions of a cell."""
+
+
+def _choice_for(segments: Sequence[HysteresisSegment], levels_v: FloatArray, translation: float,
+                is_of_plays: bool) -> _Choice:
     """Choose the weights, and whether the density is smoothed about a sum of plays.
 
-    It is if that predicts held-out branches better. The output of the plays is then subtracted, and
-    the cells are divided to represent them.
+    It is if that predicts held-out branches better, or as a known sum of plays alone does.
     """
-    size = levels_v.size - 1
-    coarse_v = np.linspace(levels_v[0], levels_v[-1], min(size, CELLS_FOR_THE_WEIGHT) + 1)
-    choice, plays = choose_penalties(segments, coarse_v, translation), None
+    about = _about_plays(segments, levels_v, translation) if is_of_plays else None
+    if about is not None and about[0].is_enough:
+        return about
+    coarse_v = _coarse_v(levels_v)
+    choice = choose_penalties(segments, coarse_v, translation)
+    without = choice, None, segments, 1
     if choice.is_enough:
-        return choice, None, segments, 1
+        return without
     with while_time_lasts("a density about a sum of plays", WEIGHTS):
         check_cancelled()
-        plays = fit_plays(segments, levels_v)
+        about = about or _about_plays(segments, levels_v, translation)
+        if about is not None and LEAST_GAIN * about[0].misfit < choice.misfit:
+            return about
+    return without
+
+
+def _coarse_v(levels_v: FloatArray) -> FloatArray:
+    """Return the edges of the cells for which the weights are chosen, (m + 1,)."""
+    return np.linspace(levels_v[0], levels_v[-1], min(levels_v.size - 1, CELLS_FOR_THE_WEIGHT) + 1)
+
+
+def _about_plays(segments: Sequence[HysteresisSegment], levels_v: FloatArray,
+                 translation: float) -> _Choice | None:
+    """Choose the weights of a density about a sum of plays; None if there are too few samples.
+
+    The output of the plays is subtracted, and the cells are divided to represent them.
+    """
+    plays = fit_plays(segments, levels_v)
     if plays is None:
-        return choice, None, segments, 1
-    parts = _parts_for(size, plays)
+        return None
+    parts, coarse_v = _parts_for(levels_v.size - 1, plays), _coarse_v(levels_v)
     relieved = [replace(segment, output_um=segment.output_um - _output_um(
         segment, levels_v, plays, parts)) for segment in segments]
-    with_plays = choose_penalties(
-        relieved, coarse_v, translation, plays.unknowns(coarse_v.size - 1))
-    if LEAST_GAIN * with_plays.misfit < choice.misfit:
-        return with_plays, plays, relieved, parts
-    return choice, None, segments, 1
+    return choose_penalties(relieved, coarse_v, translation, plays.unknowns(
+        coarse_v.size - 1)), plays, relieved, parts
 
 
 def _parts_for(size: int, plays: PlaySum) -> int:

@@ -13,6 +13,7 @@ from piezo_identification.estimators.hysteresis.smoothed_density import (
     _output_um,
     density_of_segments,
 )
+from piezo_models.hysteresis.preisach import PreisachModel
 
 LEVELS_V = np.linspace(0.0, 100.0, 201)
 HALF_WIDTHS_V, WEIGHTS = np.array([0.0, 2.0, 5.0, 9.0]), np.array([0.08, 0.03, 0.02, 0.01])
@@ -99,6 +100,22 @@ def test_a_density_about_plays_keeps_what_narrow_plays_add_to_whole_cells():
     assert density.plays is not None and len(density.visited) > 30
     error_um = (density.model().simulate(voltage_v) - truth_um)[loops]
     assert np.std(error_um) < np.std(noise_um)
+
+
+@pytest.mark.parametrize("bent", [0.05, None], ids=["plays", "no plays"])
+def test_the_kind_of_an_earlier_estimate_does_not_change_the_loops(bent):
+    voltage_v = loops_v([0.0, 100.0, *np.ravel([(5.0 * k, 100.0) for k in range(1, 19)]), 0.0])
+    if bent is None:
+        middle, half = np.add.outer(np.arange(40), np.arange(40)), np.tri(40)
+        output_um = PreisachModel(
+            0.0, 100.0, 1e-3 * half * (1.0 + np.sin(0.1 * middle) ** 2)).simulate(voltage_v)
+    else:
+        output_um = followed_um(voltage_v, bent)
+    noise_um = 1e-3 * np.random.default_rng(0).standard_normal(voltage_v.size)
+    found_um = [density_of_segments(
+        [segment(voltage_v, output_um + noise_um)], LEVELS_V[::4], is_of_plays=is_of_plays,
+    ).model().simulate(voltage_v) for is_of_plays in (False, True)]
+    assert np.std(found_um[1] - output_um) < 1.1 * np.std(found_um[0] - output_um)
 
 
 @pytest.mark.long
