@@ -306,7 +306,7 @@ class JointErrors:
         have no prior. Errors may be correlated within a stretch of a recording. Unknowns that the
         recordings do not determine have infinite variance.
         """
-        residual, jacobian = self._weighted(vector, self._columns_at(vector))
+        residual, jacobian = self._weighted(vector, self._columns_at(vector, is_exact=True))
         stretch = self._stretch()
         jacobian[stretch.size : stretch.size + physical] = 0.0
         covariance = clustered_covariance(jacobian, residual, stretch)
@@ -415,30 +415,33 @@ class JointErrors:
             stretches.append(last + 1 + response.stretch[fitted])
         return np.concatenate(stretches)
 
-    def _columns_at(self, vector: FloatArray) -> list[FloatArray]:
-        """Return the derivatives of the displacement of each recording by the unknowns."""
-        key = vector.tobytes()
+    def _columns_at(self, vector: FloatArray, is_exact: bool = False) -> list[FloatArray]:
+        """Return the derivatives of the displacement of each recording by the unknowns.
+
+        Unless they have to be exact, rows are simulated in few parts.
+        """
+        key = vector.tobytes() + bytes([is_exact])
         if self._columns[0] != key and not self._columns_are_given:
             point, recordings = self._at(vector), range(len(self.dataset.rows))
+            parts = [part if is_exact else part.in_few_parts() for part in point.dataset.simulated]
             unmoved_um = side_by_side(
-                lambda index: point.dataset.simulated[index].simulate(
+                lambda index: parts[index].simulate(
                     point.effects, rows=point.dataset.rows[index]),
                 recordings if vector.size > self.count else ())
             # The longest recording may take most of the time: its columns are items of their own.
             items = [(index, number) for number in (None, *range(self.count, vector.size))
                      for index in recordings]
             columns = dict(zip(items, side_by_side(
-                lambda item: self._of_model(point, item[0]) if item[1] is None
-                else self._of_effects(point, *item, vector, unmoved_um[item[0]]), items),
-                strict=True))
+                lambda item: self._of_model(point, item[0], parts[item[0]]) if item[1] is None
+                else self._of_effects(point, *item, vector, parts[item[0]], unmoved_um[item[0]]),
+                items), strict=True))
             self._columns = key, [np.column_stack([
                 columns[item] for item in items if item[0] == index]) for index in recordings]
         return self._columns[1]
 
-    def _of_model(self, point: _Point, index: int) -> FloatArray:
-        """Return the derivatives by the changes of the model."""
-        dataset, rows = point.dataset, point.dataset.rows[index]
-        given, part = self.dataset.model, dataset.simulated[index]
+    def _of_model(self, point: _Point, index: int, part: SimulatedRecording) -> FloatArray:
+        """Return the derivatives by the changes of the model, as a part of the data shows them."""
+        rows, given = point.dataset.rows[index], self.dataset.model
         there = part.there(point.effects) if isinstance(part, RecordingBefore) else point.effects
         behind = part.with_effects(there)
         pieces_um = None if self._pieces_um is None else self._pieces_um[index]
@@ -451,18 +454,19 @@ class JointErrors:
         return changes
 
     def _of_effects(self, point: _Point, index: int, number: int, vector: FloatArray,
-                    unmoved_um: FloatArray) -> FloatArray:
+                    part: SimulatedRecording, unmoved_um: FloatArray) -> FloatArray:
         """Return the derivative by one parameter of the effects, numerically."""
         known = self._of_effects_um.get((index, *self._parameter_at(vector, number)))
         if known is not None:
             return known
-        part, rows = point.dataset.simulated[index], point.dataset.rows[index]
+        rows = point.dataset.rows[index]
         moved, step = self._moved(vector, number)
         effects = self.effects_at(moved)
         moved_um = part.simulate(effects, rows=rows) - unmoved_um
         nuisance = point.nuisance[index].regressors
         if nuisance.shape[1] > self._own_count[index]:
-            moved_um += (_projected_out(part, rows, effects) - nuisance) @ point.sizes[index]
+            exact = point.dataset.simulated[index]
+            moved_um += (_projected_out(exact, rows, effects) - nuisance) @ point.sizes[index]
         return moved_um / step
 
     def _parameter_at(self, vector: FloatArray, number: int) -> tuple[Effect, int]:

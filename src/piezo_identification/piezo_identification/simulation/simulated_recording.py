@@ -48,6 +48,9 @@ KEPT_OUTPUTS = 6
 between later effects. A fit varies one effect at a time and needs the last few again; several fits
 may run in parallel."""
 
+FEW_PARTS = 3
+"""Parts of a row in which derivatives are simulated: a step of a fit need not be exact."""
+
 KEPT_INPUTS = 3
 """Number of cached inputs of the linear part, and of the last of several effects on the voltage."""
 
@@ -75,6 +78,9 @@ class SimulatedRecording:
         `read_at`, and for means.
     has_free_gain : bool
         Whether the gain is a nuisance: no unless given by `with_free_gain`.
+    most_parts : int
+        Largest number of parts in which a row is simulated: `PARTS` unless given by
+        `in_few_parts`.
     ringing : (N, k) array or None
         Ringing whose amplitude and phase are a nuisance: none unless given by `with_free_ringing`.
     part : Recording
@@ -95,6 +101,7 @@ class SimulatedRecording:
     highest_v: float = CYCLED
     read_late_s: float = 0.0
     has_free_gain: bool = False
+    most_parts: int = PARTS
     ringing: FloatArray | None = None
 
     def __init__(self, model: StageModel, recording: Recording) -> None:
@@ -173,6 +180,15 @@ class SimulatedRecording:
         """
         other = copy(self)
         other.read_late_s = read_late_s if self.samples_per_mean == 1 else 0.0
+        other._forget_linear()
+        return other
+
+    def in_few_parts(self) -> Self:
+        """Return the same recording, simulated in fewer parts of a row: faster, but less exact."""
+        other = copy(self)
+        other.most_parts = FEW_PARTS
+        vars(other).pop("_amplified_v", None)
+        other._forget_hysteresis()
         other._forget_linear()
         return other
 
@@ -404,7 +420,7 @@ class SimulatedRecording:
         applied = (*self.model.effects, *effects)
         on_voltage = tuple(effect for effect in applied if effect.place == "voltage")
         voltage_v, parts = _in_parts(
-            self._joined, on_voltage, self.sample_period_s, self.samples_per_mean)
+            self._joined, on_voltage, self.sample_period_s, self.samples_per_mean, self.most_parts)
         # Of the effects behind them, these matter to what precedes the last one.
         others = (parts, any(isinstance(effect, BandLimitedVoltage) for effect in on_voltage),
                   overshooting(applied))
@@ -541,7 +557,7 @@ class _RowVoltage:
 
 
 def _in_parts(voltage: _RowVoltage, effects: Collection[Effect], sample_period_s: float,
-              samples_per_mean: int) -> tuple[FloatArray, int]:
+              samples_per_mean: int, most_parts: int) -> tuple[FloatArray, int]:
     """Return a recorded voltage divided into the parts in which its rows are simulated.
 
     Effects on the voltage that act within a row require several parts. Rows in which several
@@ -551,7 +567,7 @@ def _in_parts(voltage: _RowVoltage, effects: Collection[Effect], sample_period_s
     is_smooth = any(isinstance(effect, BandLimitedVoltage) for effect in effects)
     if is_smooth and samples_per_mean == 1:
         return voltage.means_v, PARTS
-    parts = parts_of_rows(effects, sample_period_s, samples_per_mean)
+    parts = min(parts_of_rows(effects, sample_period_s, samples_per_mean), most_parts)
     if voltage.early is not None and samples_per_mean == 1:
         parts = PARTS
     held = np.repeat(voltage.voltage_v, parts)

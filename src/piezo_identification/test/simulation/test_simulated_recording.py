@@ -177,3 +177,13 @@ def test_the_past_of_a_hysteresis_that_remembers_one_number_is_found(past_v):
                               "displacement_um": 0.2 * entering_v})
     after = simulated_recording(model, recording)
     assert after.error_um() < 0.02 * past_search.after_saturation(model, recording).error_um()
+
+
+def test_few_parts_of_rows_are_nearly_exact_and_leave_the_recording_as_it_is(plant, play):
+    amplified = replace(plant, effects=(AmplifierLag(5e-5),))
+    recording = simulated_recording(
+        amplified, play(experiments.dynamics(duration_s=0.05), 1, stage=amplified))
+    exact_um = recording.simulate()
+    few_um = recording.in_few_parts().simulate()
+    assert 0.0 < np.abs(few_um - exact_um).max() < 1e-3 * np.ptp(exact_um)
+    np.testing.assert_array_equal(recording.simulate(), exact_um)
