@@ -59,8 +59,9 @@ class LackOfFit:
 
     @property
     def ratio(self) -> float:
-        """Residual over noise."""
-        return self.residual_rms_um / self.noise_rms_um
+        """Residual over noise; 1 if there is neither."""
+        least_um = np.finfo(float).eps * self.residual_rms_um
+        return self.residual_rms_um / max(self.noise_rms_um, least_um) if least_um > 0.0 else 1.0
 
     @property
     def is_adequate(self) -> bool:

@@ -19,9 +19,11 @@ from piezo_identification.adequacy.lack_of_fit import lack_of_fit
 from piezo_identification.estimators.dynamics.fast_estimate import WARM_UP_S
 from piezo_identification.estimators.frequency_response.response_file import FrequencyResponse
 from piezo_identification.experiments import catalogue as experiments
+from piezo_models.cascade import StageModel
 from piezo_models.effects.delay import Delay
 from piezo_models.hysteresis.preisach import PreisachModel
 from piezo_models.linear.dynamics import CreepDynamics, ElectricVibrationDynamics
+from piezo_recorder import recording_of
 
 NOISE_UM = 0.009
 PERIODS = 100
@@ -48,6 +50,18 @@ def test_the_stage_itself_is_adequate_and_its_noise_is_found(plant, recordings):
         assert (part.left, part.advice) == ("", "")
     assert overall_verdict(adequacy_document(adequacy)) == "adequate"
     assert adequacy["dynamics"].noise_from == "repeats"
+
+
+@pytest.mark.parametrize("error, ratio", [(0.0, 1.0), (1e-3, 1e15)])
+def test_a_recording_without_noise_has_a_finite_ratio(error, ratio):
+    line = PreisachModel.line(0.0, 10.0, 2.0)
+    model = StageModel(line, CreepDynamics(), ElectricVibrationDynamics())
+    voltage_v = np.tile(np.concatenate([np.arange(0.0, 10.0, 0.1), np.arange(10.0, 0.0, -0.1)]), 3)
+    part = adequacy_of(model, {"hysteresis": recording_of({
+        "time_s": 0.01 * np.arange(voltage_v.size), "voltage_v": voltage_v,
+        "displacement_um": 2.0 * voltage_v + error * voltage_v**2})})["hysteresis"]
+    assert np.isfinite(part.ratio) and part.ratio >= ratio
+    assert part.verdict == ("inadequate" if error else "adequate")
 
 
 def test_rows_before_the_first_used_step_are_in_no_mean_of_periods(plant, recordings):
