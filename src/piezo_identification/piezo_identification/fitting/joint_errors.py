@@ -420,8 +420,9 @@ class JointErrors:
 
         Unless they have to be exact, rows are simulated in few parts.
         """
-        key = vector.tobytes() + bytes([is_exact])
-        if self._columns[0] != key and not self._columns_are_given:
+        exact, rough = (vector.tobytes() + bytes([flag]) for flag in (True, False))
+        key, known = (exact, {exact}) if is_exact else (rough, {exact, rough})
+        if self._columns[0] not in known and not self._columns_are_given:
             point, recordings = self._at(vector), range(len(self.dataset.rows))
             parts = [part if is_exact else part.in_few_parts() for part in point.dataset.simulated]
             unmoved_um = side_by_side(
