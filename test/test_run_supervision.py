@@ -90,7 +90,8 @@ def test_run_that_may_go_on_unrecorded_does_and_says_so(suite, fields, disk_that
     assert "was closed early: File too large" in result.message
     recorded, played = (len(voltage_v) for voltage_v in (
         read_recording(result.recording).voltage_v, suite.samples().voltage_v))
-    assert 0 < recorded < played / 2
+    # How much fits into the bytes depends on how many samples the recorder compresses at once.
+    assert 0 < recorded < played
 
 
 @pytest.mark.parametrize(("service", "cause"), [
