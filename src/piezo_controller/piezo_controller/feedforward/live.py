@@ -33,14 +33,15 @@ RANGE_MARGIN = 0.02
 class DeclaredRange:
     """The range of values that a publisher may give: a peak-to-peak amplitude about a centre (um).
 
-    With a centre of 0, it is determined from the values.
+    With a centre of 0, it is determined from the values; `about_centre_um` is then infinite.
     """
 
     def __init__(self, centre_um: float, amplitude_um: float) -> None:
         self._declared = f"{amplitude_um:g} um" + (f" about {centre_um:g} um" if centre_um else "")
         self._span_um = SLACK * amplitude_um
         half_um = self._span_um / 2.0 if centre_um else math.inf
-        self._lowest_um, self._highest_um = centre_um - half_um, centre_um + half_um
+        self.about_centre_um = centre_um - half_um, centre_um + half_um
+        self._lowest_um, self._highest_um = self.about_centre_um
 
     def check(self, values_um: FloatArray) -> None:
         """Raise `InvalidReference` if these values, or these and earlier ones, exceed the range."""
@@ -85,7 +86,8 @@ class LivePlan(TrackingPlan):
         self._value_um = float(np.clip(live.latest_um, *self.range_um))
         self.once_voltage_v, once_um, level_um, self._inverse = planner.begin(self._value_um)
         self._motion = BoundedMotion(
-            level_um, self._value_um, band_hz, amplitude_um, planner.sample_period_s)
+            level_um, self._value_um, band_hz, amplitude_um, planner.sample_period_s,
+            self._declared.about_centre_um)
         self._last_v = self.once_voltage_v[-1:]
         self.feedback_start_sample = len(self.once_voltage_v)
         self.begin_sample = self.feedback_start_sample + approach_samples(planner.sample_period_s)

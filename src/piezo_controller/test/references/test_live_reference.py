@@ -120,3 +120,30 @@ def test_jumps_kinks_and_noise_are_followed_within_the_bounds(values_um, far):
     assert np.ptp(followed_um) <= 1.3 * np.ptp(values_um)
     settled_um = motion.follow(np.full(2000, values_um[-1]))
     assert settled_um[-1] == pytest.approx(values_um[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+@pytest.mark.parametrize("seed", range(20))
+def test_what_jumps_again_and_again_does_not_leave_the_declared_range(seed, is_held):
+    """Values that are skipped make such jumps: the motion once left their range by a third."""
+    rng = np.random.default_rng(seed)
+    ends = np.cumsum(rng.choice([1, 10, 40, 120, 160, 200, 400], 60))
+    levels_um = rng.uniform(45.0, 55.0, ends.size)
+    sample = np.arange(ends[-1])
+    values_um = levels_um[np.searchsorted(ends, sample, side="right")] if is_held else np.interp(
+        sample, ends, levels_um)
+    motion = BoundedMotion(values_um[0], values_um[0], 100.0, 10.0, PERIOD_S, (45.0, 55.0))
+    followed_um = np.concatenate([motion.follow(part) for part in np.array_split(values_um, 7)])
+    assert 44.99 < followed_um.min() and followed_um.max() < 55.01
+    settled_um = motion.follow(np.full(4000, levels_um[-1]))
+    assert settled_um[-1] == pytest.approx(levels_um[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("start_um", [0.0, 47.0, 70.0])
+def test_what_fills_its_range_is_followed_exactly_from_anywhere(start_um):
+    values_um = 50.0 + 5.0 * np.sin(2.0 * np.pi * 100.0 * PERIOD_S * np.arange(8000))
+    motion = BoundedMotion(start_um, values_um[0], 100.0, 10.0, PERIOD_S, (45.0, 55.0))
+    followed_um = motion.follow(values_um)
+    np.testing.assert_allclose(followed_um[4000:], values_um[4000:], atol=1e-3)
+    if start_um == 47.0:
+        assert 44.99 < followed_um.min() and followed_um.max() < 55.01
