@@ -17,8 +17,8 @@ from piezo_models.linear.connections import matrices_of
 from piezo_models.linear.dynamics import (
     answering_means,
     equilibrium_state,
-    response_at,
     simulate_linear,
+    transfer_at,
     zoh,
 )
 from piezo_models.linear.outputs_at import simulate_linear_at
@@ -84,7 +84,7 @@ class SampledSystem:
     def response_over(self, turn: FloatArray) -> ComplexArray:
         """Return the only output over the input at frequencies, in turns per input, (n,)."""
         z = np.exp(2j * np.pi * turn)
-        return response_at(self._discrete, z) * z ** -float(self._late)
+        return transfer_at(self._discrete, z) * z ** -float(self._late)
 
     def response_at(self, input_um: FloatArray, at: NDArray[np.intp]) -> FloatArray:
         """Return all outputs at a few sorted samples, (n, outputs), which costs less."""

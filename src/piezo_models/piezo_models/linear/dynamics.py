@@ -284,10 +284,10 @@ def zoh_response(system: control.StateSpace, frequency_hz: ArrayLike,
     _check_single(discrete)
     frequency = np.asarray(frequency_hz, dtype=float)
     z = np.exp(2j * np.pi * frequency.ravel() * sample_period_s)
-    return response_at(discrete, z).reshape(frequency.shape)[()]
+    return transfer_at(discrete, z).reshape(frequency.shape)[()]
 
 
-def response_at(system: control.StateSpace, z: ComplexArray) -> ComplexArray:
+def transfer_at(system: control.StateSpace, z: ComplexArray) -> ComplexArray:
     """Return the transfer function of a system with one input and one output at some z, (n,)."""
     triangle, turned = schur(system.A, output="complex")
     entering, leaving = turned.conj().T @ system.B[:, 0], system.C[0] @ turned
