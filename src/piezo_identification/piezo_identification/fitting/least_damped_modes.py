@@ -15,9 +15,6 @@ from piezo_models.linear.dynamics import ElectricVibrationDynamics
 MUCH_MORE_DAMPED = 5.0
 """Ratio of damping to that of the least damped mode above which a mode may stand for a delay."""
 
-PARTICIPATIONS = tuple(VibrationMode.__dataclass_fields__["participation"].metadata[end]
-                       for end in ("low", "high"))
-
 FREQUENCIES, LOWEST = 200, 1e-3
 """Number of frequencies at which two responses are compared, and the lowest one relative to the
 highest."""
@@ -55,9 +52,8 @@ def _least_damped(model: StageModel) -> StageModel | None:
         in_series = [(in_parallel[0].frequency_rad_per_s, in_parallel[0].damping_ratio)]
         in_parallel = []
     return replace(
-        model, effects=(*(VibrationMode(
-            mode.frequency_rad_per_s, mode.damping_ratio,
-            float(np.clip(mode.participation / whole, *PARTICIPATIONS)))
+        model, effects=(*(VibrationMode.within_limits(
+            mode.parameters() | {"participation": mode.participation / whole})
             for mode in in_parallel), *others),
         dynamics=ElectricVibrationDynamics(
             0.0, tuple(frequency for frequency, _ in in_series),

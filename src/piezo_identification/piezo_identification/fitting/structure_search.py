@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Search for the structure of a model: change one part at a time and refit all parameters."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
@@ -634,15 +634,9 @@ def _uncoupled(modes: Sequence[VibrationMode]) -> tuple[VibrationMode, ...]:
 
 def _uncoupled_mode(mode: VibrationMode, participation: float) -> VibrationMode:
     """Return a mode of a structure with a participation, near another kind of mode."""
-    return _within_limits(VibrationMode, mode.parameters() | {
+    return VibrationMode.within_limits(mode.parameters() | {
         "participation": participation,
         "damping_ratio": min(mode.damping_ratio, SETTINGS.most_uncoupled)})
-
-
-def _within_limits(kind: type[VibrationMode], values: Mapping[str, float]) -> VibrationMode:
-    """Return a mode with the possible values that are nearest to some values."""
-    return kind(**{each.name: float(np.clip(
-        values[each.name], each.metadata["low"], each.metadata["high"])) for each in fields(kind)})
 
 
 def apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
@@ -653,7 +647,7 @@ def apart(modes: Sequence[VibrationMode]) -> list[VibrationMode]:
         if last is not None and mode.frequency_rad_per_s - last.frequency_rad_per_s < (
                 last.damping_ratio + mode.damping_ratio) * mode.frequency_rad_per_s:
             larger = max(last, mode, key=lambda each: abs(each.participation))
-            merged[-1] = _within_limits(type(larger), larger.parameters() | {
+            merged[-1] = type(larger).within_limits(larger.parameters() | {
                 "participation": last.participation + mode.participation})
         else:
             merged.append(mode)

@@ -4,6 +4,7 @@ import pytest
 
 from piezo_identification.fitting.least_damped_modes import with_least_damped_modes
 from piezo_models import CreepDynamics, ElectricVibrationDynamics, PreisachModel, StageModel
+from piezo_models.effects.coupled_mode import CoupledMode
 from piezo_models.effects.delay import Delay
 from piezo_models.effects.sensor_lag import SensorLag
 from piezo_models.effects.vibration_mode import VibrationMode
@@ -43,6 +44,15 @@ def test_several_modes_that_remain_make_up_the_displacement():
         model(ElectricVibrationDynamics(1e-4), *modes), 0.0, HIGHEST_RAD_PER_S)
     assert [effect.participation for effect in found.effects] == pytest.approx([2 / 3, 1 / 3])
     assert [effect.frequency_rad_per_s for effect in found.effects] == [3000.0, 5000.0]
+
+
+def test_coupled_modes_become_the_nearest_possible_modes_of_a_structure():
+    modes = (CoupledMode(3000.0, 0.2, 0.5), CoupledMode(5000.0, 0.6, 0.4, 0.1),
+             CoupledMode(8000.0, 1.5, 0.1))
+    found, _ = with_least_damped_modes(
+        model(ElectricVibrationDynamics(1e-4), *modes), 0.0, HIGHEST_RAD_PER_S)
+    assert [type(effect) for effect in found.effects] == [VibrationMode, VibrationMode]
+    assert [effect.damping_ratio for effect in found.effects] == [0.2, 0.4]
 
 
 def test_modes_in_series_and_in_parallel_that_remain_stay_there():

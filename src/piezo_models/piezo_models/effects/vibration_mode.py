@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """An additional mode of vibration."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import ClassVar, Self
 
 import control
@@ -72,6 +73,13 @@ class VibrationMode(Effect):
     def _response(self, drive: FloatArray, sample_period_s: float,
                   rest: float | None = None) -> FloatArray:
         return filtered(*self._mode(), drive, sample_period_s, rest)
+
+    @classmethod
+    def within_limits(cls, values: Mapping[str, float]) -> Self:
+        """Return the mode with the possible values that are nearest to some values, by name."""
+        return cls(**{each.name: float(np.clip(
+            values[each.name], each.metadata["low"], each.metadata["high"]))
+            for each in fields(cls)})
 
     @classmethod
     def bounds(cls, extent: Extent) -> dict[str, tuple[float, float]]:
